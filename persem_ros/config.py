@@ -1,0 +1,312 @@
+"""Every setting once: name, default, unit, range and help text (spec section 7)."""
+
+import difflib
+import math
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+
+from persem_ros.errors import PersemError
+
+METHODS = ('majority', 'unweighted', 'recency', 'consensus', 'probabilistic',
+           'trust', 'context', 'history', 'context_history', 'persem')
+IMAGE_METHODS = ('raw2d', 'ema2d')
+
+
+def setting(default, text, unit='', low=None, high=None, choices=None, live=True):
+    """
+    Declare one setting.
+
+    Parameters
+    ----------
+    default : bool, int, float, str or tuple
+        The value where nothing else is given; its type is the setting's type.
+    text : str
+        The sentence shown in help texts, documentation and ROS parameter descriptions.
+    unit : str
+        Unit of the value, empty where it has none.
+    low, high : number, optional
+        Inclusive range of the value.
+    choices : tuple of str, optional
+        The only values allowed.
+    live : bool
+        False where a change while mapping would make the map inconsistent.
+
+    """
+    return field(default=default, metadata={
+        'help': text, 'unit': unit, 'low': low, 'high': high, 'choices': choices, 'live': live})
+
+
+@dataclass(frozen=True)
+class Memory:
+    """Which pixels are remembered, and how finely."""
+
+    voxel_size: float = setting(0.5, 'edge of a voxel', 'm', 1e-3, 1e3, live=False)
+    min_depth: float = setting(0.1, 'nearer measurements are ignored', 'm', 0.0, 1e5)
+    max_depth: float = setting(200.0, 'farther measurements are ignored', 'm', 0.0, 1e5)
+    stride: int = setting(1, 'integrate every n-th pixel of every n-th row', 'pixels', 1, 64)
+    min_pixels: int = setting(1, 'pixels that make an observation of a voxel', 'pixels', 1, 10000)
+    ignore_labels: tuple = setting((255, 65535), 'ids that are not observations')
+    dynamic_labels: tuple = setting(
+        (-1,), 'ids of things that move: never integrated, passed through unchanged; -1: none')
+    max_history: int = setting(
+        0, 'newest observations that a refinement reads per voxel; 0: all', 'observations', 0,
+        1 << 20, live=False)
+
+
+@dataclass(frozen=True)
+class Refine:
+    """How the memory makes up its mind."""
+
+    method: str = setting('persem', 'labelling method', choices=METHODS)
+    min_observations: int = setting(
+        3, 'observations that make a voxel recurrent; fewer are not refined', 'observations', 1,
+        1 << 20)
+    neighbours: int = setting(26, 'neighbourhood of a voxel: 6, 18 or 26')
+    eta: float = setting(0.3, "share of the neighbours' history in the anchor (eta)", '', 0.0, 1.0)
+    lambda_volatility: float = setting(
+        1.0, 'how strongly a volatile class is distrusted (lambda_v)', '', 0.0, 100.0)
+    lambda_disagreement: float = setting(
+        0.5, 'how strongly a surprise is distrusted (lambda_s)', '', 0.0, 100.0)
+    lambda_gap: float = setting(
+        0.01, 'how strongly a gap in time is distrusted (lambda_t)', '1/frame', 0.0, 100.0)
+    gamma: float = setting(0.95, 'decay of replayed evidence (gamma)', '', 0.0, 1.0)
+    tau_replay: float = setting(0.1, 'margin of a trust proposal (tau_replay)', '', 0.0, 1e6)
+    tau_context: float = setting(0.1, 'margin of its verification (tau_context)', '', 0.0, 1.0)
+    lambda_recency: float = setting(
+        0.05, 'decay of the methods recency and consensus (lambda_r)', '1/frame', 0.0, 100.0)
+    beta: float = setting(0.5, 'bonus of the method consensus (beta)', '', 0.0, 100.0)
+    period: float = setting(1.0, 'time between refinements', 's', 0.01, 3600.0)
+    volatility_every: int = setting(
+        10, 'every n-th refinement takes the class volatility anew', '', 1, 1 << 20)
+
+
+@dataclass(frozen=True)
+class CameraSettings:
+    """How camera infos are read."""
+
+    rectified: bool = setting(
+        False, 'true: images are rectified, P is used and D ignored; false: K and D', live=False)
+
+
+@dataclass(frozen=True)
+class Render:
+    """How refined label images are filled."""
+
+    fill: str = setting(
+        'input', "a pixel that the map does not know: the frame's own label or the ignored id",
+        choices=('input', 'unknown'))
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Coordinate frames."""
+
+    map: str = setting('map', 'frame in which voxels live', live=False)
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where poses come from."""
+
+    source: str = setting('topic', 'poses from a topic or from /tf', choices=('topic', 'tf'),
+                          live=False)
+    type: str = setting(
+        'auto', 'type of the pose topic',
+        choices=('auto', 'PoseStamped', 'PoseWithCovarianceStamped', 'Odometry',
+                 'TransformStamped'), live=False)
+    child_frame: str = setting(
+        '', "frame that the poses place in the map; empty: as the messages say", live=False)
+    max_gap: float = setting(0.5, 'widest gap between two poses that is interpolated', 's',
+                             0.0, 3600.0)
+    extrinsic: tuple = setting(
+        (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+        'camera in the pose\'s child frame: x y z qx qy qz qw; all 0: from /tf_static',
+        live=False)
+
+
+@dataclass(frozen=True)
+class Sync:
+    """How label and depth images are paired."""
+
+    tolerance: float = setting(0.02, 'largest difference of stamps in a pair', 's', 0.0, 60.0)
+    max_wait: float = setting(1.0, 'how long a frame waits for what is missing', 's', 0.0, 600.0)
+
+
+@dataclass(frozen=True)
+class Topics:
+    """Names of the input topics."""
+
+    labels: str = setting('semantic/image', 'label images', live=False)
+    depth: str = setting('depth/image', 'depth images', live=False)
+    camera_info: str = setting('depth/camera_info', 'intrinsics of the depth images', live=False)
+    pose: str = setting('pose', 'poses of the camera or body', live=False)
+    truth: str = setting('semantic/truth', 'true label images (replay only)', live=False)
+    color: str = setting('color/image', 'colour images (report and overlay only)', live=False)
+
+
+@dataclass(frozen=True)
+class Map:
+    """The map as a whole."""
+
+    path: str = setting('', 'map file to load and save (.persem); empty: none')
+    origin: tuple = setting(
+        (0.0, 0.0, 0.0),
+        'point of the map frame that is subtracted from all positions (UTM coordinates)', 'm',
+        live=False)
+
+
+@dataclass(frozen=True)
+class Ema:
+    """Image-space smoothing, a baseline."""
+
+    alpha: float = setting(0.7, 'share of the past in the smoothed image (alpha)', '', 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Labels:
+    """The names and colours of the classes."""
+
+    legend: str = setting(
+        '', 'legend: a shipped name (town, uavscenes, forest, cityscapes) or a YAML file; '
+        "empty: the recording's own, else made-up colours", live=False)
+
+
+@dataclass(frozen=True)
+class Config:
+    """All settings; the dotted names are the ROS parameter names."""
+
+    memory: Memory = Memory()
+    refine: Refine = Refine()
+    camera: CameraSettings = CameraSettings()
+    render: Render = Render()
+    frames: Frames = Frames()
+    pose: Pose = Pose()
+    sync: Sync = Sync()
+    topics: Topics = Topics()
+    map: Map = Map()
+    ema: Ema = Ema()
+    labels: Labels = Labels()
+    cameras: tuple = setting(
+        ('',), 'names of several cameras; each has cameras.<name>.topics.*; empty: one camera',
+        live=False)
+    camera_topics: tuple = ()   # ((name, Topics), ...), filled from cameras.<name>.topics.*
+
+
+def settings(config=None, prefix=''):
+    """
+    Yield every setting of *config* as (dotted name, value, metadata).
+
+    The metadata is a mapping with the keys help, unit, low, high, choices and live.
+
+    """
+    config = Config() if config is None else config
+    for item in fields(config):
+        value = getattr(config, item.name)
+        if is_dataclass(value):
+            yield from settings(value, f'{prefix}{item.name}.')
+        elif item.metadata:
+            yield f'{prefix}{item.name}', value, item.metadata
+    if isinstance(config, Config):
+        for camera, topics in config.camera_topics:
+            yield from settings(topics, f'cameras.{camera}.topics.')
+
+
+def updated(config, values):
+    """
+    Return *config* with {dotted name: value} applied.
+
+    Raises
+    ------
+    PersemError
+        For an unknown name (the nearest right one is named), a wrong type or a value out of
+        range.
+
+    """
+    if 'cameras' in values:
+        config = replace(config, cameras=_checked('cameras', values['cameras'], ('',), {}))
+    config = replace(config, camera_topics=_camera_topics(config))
+    known = {name: (value, meta) for name, value, meta in settings(config)}
+    for name, value in values.items():
+        if name == 'cameras':
+            continue
+        if name not in known:
+            raise PersemError(f'unknown setting {name!r}{nearest(name, known)}; '
+                              "'persem config' lists all settings")
+        config = _with(config, name.split('.'), _checked(name, value, *known[name]))
+    _check_together(config)
+    return config
+
+
+def nearest(name, known):
+    """Return ", did you mean 'x'?" for the name in *known* that is nearest, or ''."""
+    near = difflib.get_close_matches(str(name), [str(k) for k in known], n=1, cutoff=0.5)
+    if not near:
+        tail = str(name).rpartition('.')[2]
+        near = [k for k in known if str(k).rpartition('.')[2] == tail][:1]
+    return f', did you mean {near[0]!r}?' if near else ''
+
+
+def topics_of(config, camera=''):
+    """Return the Topics of one camera ('' where there is only one)."""
+    return dict(config.camera_topics).get(camera, config.topics)
+
+
+def _camera_topics(config):
+    """Topics of every named camera: its own where given, else the shared names below its name."""
+    old = dict(config.camera_topics)
+    result = []
+    for camera in (name for name in config.cameras if name):
+        shared = {f.name: f'{camera}/{getattr(config.topics, f.name)}' for f in fields(Topics)
+                  if f.name != 'pose'}
+        result.append((camera, old.get(camera, replace(config.topics, **shared))))
+    return tuple(result)
+
+
+def _checked(name, value, default, meta):
+    """Return *value* in the type of *default*, or refuse it."""
+    kind = type(default)
+    if kind is tuple:
+        value = [value] if isinstance(value, (str, int, float)) else value
+        inner = type(default[0])
+        try:
+            result = tuple(_checked(name, item, default[0], {}) for item in value)
+        except TypeError:
+            raise PersemError(f'{name}: expected a list of {inner.__name__}, got {value!r}') \
+                from None
+        if name in ('map.origin', 'pose.extrinsic') and len(result) != len(default):
+            raise PersemError(f'{name}: expected {len(default)} numbers, got {len(result)}')
+        return result or default[:0]
+    if kind is float and type(value) is int:
+        value = float(value)
+    if type(value) is not kind or (kind is float and not math.isfinite(value)):
+        raise PersemError(f'{name}: expected {kind.__name__}, got {value!r}')
+    if meta.get('choices') and value not in meta['choices']:
+        raise PersemError(f'{name}: expected one of {", ".join(meta["choices"])}, '
+                          f'got {value!r}{nearest(value, meta["choices"])}')
+    low, high = meta.get('low'), meta.get('high')
+    if (low is not None and value < low) or (high is not None and value > high):
+        unit = f' {meta["unit"]}' if meta.get('unit') else ''
+        raise PersemError(f'{name}: expected {low} to {high}{unit}, got {value!r}')
+    return value
+
+
+def _check_together(config):
+    """Refuse values that are fine alone and wrong together."""
+    if config.refine.neighbours not in (6, 18, 26):
+        raise PersemError(
+            f'refine.neighbours: expected 6, 18 or 26, got {config.refine.neighbours}')
+    if config.memory.min_depth >= config.memory.max_depth:
+        raise PersemError(
+            f'memory.min_depth: expected less than memory.max_depth '
+            f'({config.memory.max_depth} m), got {config.memory.min_depth} m')
+
+
+def _with(config, path, value):
+    """Return *config* with the setting at *path* replaced."""
+    head, *rest = path
+    if head == 'cameras' and rest:
+        camera, _, item = rest
+        topics = tuple((name, replace(old, **{item: value}) if name == camera else old)
+                       for name, old in config.camera_topics)
+        return replace(config, camera_topics=topics)
+    inner = _with(getattr(config, head), rest, value) if rest else value
+    return replace(config, **{head: inner})

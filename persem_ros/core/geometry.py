@@ -1,0 +1,63 @@
+"""Rigid transforms as 4x4 matrices, quaternions as x y z w."""
+
+import numpy as np
+
+
+def quaternion_to_matrix(q):
+    """Return the 3x3 rotation of the unit quaternion (x, y, z, w)."""
+    x, y, z, w = q
+    return np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]])
+
+
+def matrix_to_quaternion(R):
+    """Return the unit quaternion (x, y, z, w), w >= 0, of a 3x3 rotation."""
+    m = np.asarray(R, float)
+    trace = m[0, 0] + m[1, 1] + m[2, 2]
+    # Shepperd: divide by the largest of the four, so that nothing small is divided by.
+    i = int(np.argmax([m[0, 0], m[1, 1], m[2, 2], trace]))
+    q = np.empty(4)
+    if i == 3:
+        q[3] = 1 + trace
+        q[:3] = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
+    else:
+        j, k = (i + 1) % 3, (i + 2) % 3
+        q[i] = 1 + m[i, i] - m[j, j] - m[k, k]
+        q[j] = m[j, i] + m[i, j]
+        q[k] = m[k, i] + m[i, k]
+        q[3] = m[k, j] - m[j, k]
+    q /= np.linalg.norm(q)
+    return -q if q[3] < 0 else q
+
+
+def transform(translation, q):
+    """Return the 4x4 matrix of a translation (3,) and a unit quaternion (x, y, z, w)."""
+    T = np.eye(4)
+    T[:3, :3] = quaternion_to_matrix(q)
+    T[:3, 3] = translation
+    return T
+
+
+def inverse(T):
+    """Return the inverse of a rigid 4x4 transform."""
+    R = T[:3, :3].T
+    result = np.eye(4)
+    result[:3, :3] = R
+    result[:3, 3] = -R @ T[:3, 3]
+    return result
+
+
+def slerp(q0, q1, fraction):
+    """Interpolate between unit quaternions along the shorter arc."""
+    q0, q1 = np.asarray(q0, float), np.asarray(q1, float)
+    dot = float(q0 @ q1)
+    if dot < 0:
+        q1, dot = -q1, -dot
+    if dot > 0.9995:        # nearly the same: the arc is a chord
+        q = q0 + fraction * (q1 - q0)
+    else:
+        angle = np.arccos(dot)
+        q = (np.sin((1 - fraction) * angle) * q0 + np.sin(fraction * angle) * q1) / np.sin(angle)
+    return q / np.linalg.norm(q)

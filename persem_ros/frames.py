@@ -1,0 +1,94 @@
+"""The nouns: a camera and a frame; shape, dtype, unit and coordinate frame of every array."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+IGNORED = -1        # a pixel without a label, wherever labels are int32
+MAX_ID = 65534      # the largest class id
+UNKNOWN = 65535     # "no label" where labels are uint16
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """
+    What a depth image's pixels look at.
+
+    Attributes
+    ----------
+    rays : ndarray, shape (H, W, 2), float64
+        The point that pixel (u, v) sees is (rays[v, u, 0] * d, rays[v, u, 1] * d, d) in the
+        optical frame (x right, y down, z forward) for depth d. For a pinhole camera this is
+        ((u - cx) / fx, (v - cy) / fy), spec section 1.
+    K : ndarray, shape (3, 3), float64
+        The pinhole matrix in force, pixels; for projecting, not for measuring.
+    frame_id : str
+        The optical frame.
+
+    """
+
+    rays: np.ndarray
+    K: np.ndarray
+    frame_id: str = ''
+
+    @property
+    def height(self):
+        """Rows of the depth image."""
+        return self.rays.shape[0]
+
+    @property
+    def width(self):
+        """Columns of the depth image."""
+        return self.rays.shape[1]
+
+
+def pinhole(width, height, fx, fy, cx, cy, frame_id=''):
+    """Return the Camera without distortion of *width* x *height* pixels."""
+    rays = np.empty((height, width, 2))
+    rays[..., 0] = ((np.arange(width) - cx) / fx)[None, :]
+    rays[..., 1] = ((np.arange(height) - cy) / fy)[:, None]
+    return Camera(rays, np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), frame_id)
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """
+    One label image with its depth and pose: what the pipeline eats.
+
+    Attributes
+    ----------
+    stamp : int
+        Nanoseconds, the label image's header stamp.
+    labels : ndarray, shape (H, W), int32
+        Class ids 0 .. 65534; anything else is an ignored pixel.
+    depth : ndarray, shape (h, w), float64
+        Metres along the optical axis; 0, NaN and infinity are "no measurement". The aspect
+        ratio is that of the labels, the size may differ.
+    camera : Camera
+        Of the depth image, (h, w).
+    T_map_camera : ndarray, shape (4, 4), float64
+        Maps points of the camera's optical frame to the map frame (map.origin not yet taken
+        off).
+    sensor : str
+        The camera's name, '' where there is only one.
+    frame_id : str
+        The label image's header frame.
+    encoding : str
+        The label image's encoding, which refined images keep.
+    truth : ndarray, shape (H, W), int32, optional
+        True ids on the labels' grid.
+    color : ndarray, shape (., ., 3), uint8, optional
+        RGB, any size.
+
+    """
+
+    stamp: int
+    labels: np.ndarray
+    depth: np.ndarray
+    camera: Camera
+    T_map_camera: np.ndarray = field(default_factory=lambda: np.eye(4))
+    sensor: str = ''
+    frame_id: str = ''
+    encoding: str = 'mono16'
+    truth: np.ndarray = None
+    color: np.ndarray = None

@@ -1,0 +1,1 @@
+"""Sensors or recordings become frames; nothing here imports ROS."""

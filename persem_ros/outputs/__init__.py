@@ -1,0 +1,1 @@
+"""Results become files; nothing here imports ROS."""
