@@ -1,0 +1,1 @@
+"""One file per sub-command of persem: add_parser(subparsers) and run(args)."""
