@@ -134,7 +134,8 @@ def test_neighbourhoods():
 
 
 def test_volatility_over_all_pairs_of_all_voxels():
-    memory = memory_of({HERE: [(A, 1.0), (A, 1.0), (B, 1.0), (A, 1.0)], EAST: [(A, 1.0), (C, 1.0)]})
+    memory = memory_of({HERE: [(A, 1.0), (A, 1.0), (B, 1.0), (A, 1.0)],
+                        EAST: [(A, 1.0), (C, 1.0)]})
     # Pairs AA AB BA and AC: A starts three and changes twice, B starts one; C starts none.
     assert memory.volatility() == {A: 2 / 3, B: 1.0}
 
@@ -165,9 +166,9 @@ def test_replay_step_by_step():
     # exp(-2 0.5) = 0.367879 for A, exp(-2 0.25) = 0.606531 for B; a gap of 1 costs 0.904837,
     # a surprise 0.367879.
     # 1: A 0.367879. 2: A 0.183940 + 0.332871 = 0.516811.
-    # 3: A 0.258405, B (a surprise) 0.606531 0.904837 0.367879 = 0.201898.
-    # 4: A leads before it, so B surprises again: A 0.129203, B 0.100949 + 0.5 0.201898.
-    assert e == pytest.approx({A: 0.129203, B: 0.201898}, abs=1e-6)
+    # 3: A 0.258405, B (a surprise) 0.606531 0.904837 0.367879 = 0.201897.
+    # 4: A leads before it, so B surprises again: A 0.129203, B 0.100948 + 0.5 0.201897.
+    assert e == pytest.approx({A: 0.129203, B: 0.201897}, abs=1e-6)
 
 
 def test_surprise_in_a_tie_is_of_the_smaller_id():
