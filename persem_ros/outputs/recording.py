@@ -1,18 +1,24 @@
 """Writing rosbag2 recordings (mcap or sqlite3) without ROS."""
 
-from contextlib import suppress
-from pathlib import Path
 import shutil
 import sqlite3
 import tempfile
+from contextlib import suppress
+from pathlib import Path
+
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 
 from persem_ros.errors import PersemError
 from persem_ros.outputs.messages import MessageFactory
-from rosbags.interfaces import (
-    Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime,
-)
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-from rosbags.typesys import get_typestore, Stores
 
 STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
 FILE_ERRORS = (OSError, sqlite3.Error)
@@ -200,11 +206,14 @@ def check_target(path, force=False):
         For a file; for a folder that is not empty, unless it is a recording and *force* is set.
 
     """
-    if not path.exists():
-        return
-    if not path.is_dir():
-        raise PersemError(f'{path} is a file; give the name of a new folder')
-    names = [entry.name for entry in path.iterdir()]
+    try:
+        if not path.exists():
+            return
+        if not path.is_dir():
+            raise PersemError(f'{path} is a file; give the name of a new folder')
+        names = [entry.name for entry in path.iterdir()]
+    except OSError as error:
+        raise PersemError(f'cannot write {path}: {error.strerror}') from error
     if not names:
         return
     if not force:
