@@ -6,6 +6,11 @@ from functools import partial
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 import numpy as np
+import reference as ref
+
+from persem_ros.core.memory import VoxelMemory
+from persem_ros.core.observe import Observations
+from persem_ros.frames import UNKNOWN
 
 # A continuous-integration machine sees the same examples each time; a developer sees new ones.
 examples = partial(settings, deadline=None, derandomize='CI' in os.environ,
@@ -32,3 +37,65 @@ def pose(rng, spread=3.0):
 
 
 seeds = st.integers(0, 2 ** 32 - 1)
+
+# Corners of the cubes in which worlds lie: across the borders of blocks, below zero, far away.
+CORNERS = ((-1, -1, -1), (6, 7, 6), (-9, 0, 7), (15, -16, -1), (10 ** 8, -10 ** 8, 3))
+# Shares of 2, 3, 4 and 7 pixels: halves and quarters add up to exact ties, thirds do not.
+EXACT = (0.25, 0.5, 0.75, 1.0)
+SHARES = EXACT + (1 / 3, 2 / 3, 2 / 7, 3 / 7)
+
+
+@st.composite
+def worlds(draw, most_frames=14, shares=None, repeats=True):
+    """
+    Draw a random sequence of frames for both memories.
+
+    Returns
+    -------
+    list of (stamp, dict, list)
+        Per frame the stamp, {voxel: (c, s)} and the ids of all counted pixels.
+
+    """
+    rng = np.random.default_rng(draw(seeds))
+    ids = [IDS[i] for i in rng.permutation(len(IDS))[:draw(st.integers(1, len(IDS)))]]
+    shares = shares or draw(st.sampled_from([EXACT, SHARES]))
+    hit = draw(st.sampled_from([0.2, 0.6, 1.0]))
+    corner, size = draw(st.sampled_from(CORNERS)), rng.integers(1, 4, 3)
+    cells = [tuple(int(x) for x in np.add(corner, d)) for d in np.ndindex(*size)]
+    cells.append(tuple(int(x) for x in np.add(corner, (5, 5, 5))))      # with no neighbour
+    habits = {cell: rng.choice(ids) for cell in cells}
+    frames, stamp = [], int(rng.integers(0, 2 ** 40))
+    for _ in range(draw(st.integers(1, most_frames))):
+        if not frames or not repeats or rng.random() > 0.15:    # another sensor's, at times
+            stamp += int(rng.integers(1, 10 ** 9))
+        seen = {cells[i]: (int(habits[cells[i]] if rng.random() < 0.6 else rng.choice(ids)),
+                           float(np.float32(rng.choice(shares))))
+                for i in rng.permutation(len(cells)) if rng.random() < hit}
+        frames.append((stamp, seen, [int(c) for c in rng.choice(ids, 2)]))
+    return frames
+
+
+def observations(stamp, seen, ids=(), sensor='', unknown=()):
+    """Return the Observations of a frame; *unknown* voxels are seen without being observed."""
+    voxels = np.array([*seen, *unknown], np.int32).reshape(-1, 3)
+    labels = np.array([c for c, _ in seen.values()] + [UNKNOWN] * len(unknown), np.uint16)
+    confidences = np.array([s for _, s in seen.values()] + [0] * len(unknown), np.float32)
+    ids = np.unique(np.array([*ids, *(c for c, _ in seen.values())], np.uint16))
+    return Observations(voxels, labels, confidences, np.arange(len(labels), dtype=np.int32), ids,
+                        stamp, np.eye(4), sensor)
+
+
+def core_of(frames, max_history=0):
+    """Return the core's memory of the frames."""
+    memory = VoxelMemory(0.5, max_history=max_history)
+    for frame in frames:
+        memory.add(observations(*frame))
+    return memory
+
+
+def reference_of(frames):
+    """Return the reference's memory of the frames."""
+    memory = ref.Memory()
+    for stamp, seen, ids in frames:
+        memory.add(seen, stamp, ids)
+    return memory
