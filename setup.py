@@ -1,0 +1,48 @@
+"""Installation: `pip install .` gives the command line, colcon the ROS 2 package."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+NAME = 'persem_ros'
+
+setup(
+    name=NAME,
+    version='0.1.0',
+    description='Persistent semantic memory for robots: stable labels and a voxel map',
+    author='persem_ros maintainers',
+    maintainer='persem_ros maintainers',
+    maintainer_email='persem_ros@users.noreply.github.com',
+    license='Apache-2.0',
+    packages=find_packages(include=[NAME, f'{NAME}.*']),
+    python_requires='>=3.10',
+    install_requires=[
+        'numpy>=1.26',
+        'numba>=0.60',
+        'opencv-python-headless>=4.8',
+        'pyyaml>=6',
+        'rosbags>=0.11',
+        'tqdm>=4.60',
+        # The simulated flight only. Embree has no wheels for Linux on ARM, where the other
+        # commands do without it.
+        'trimesh>=4.4',
+        'embreex>=2.17.7; sys_platform != "linux" or platform_machine == "x86_64"',
+    ],
+    extras_require={
+        'test': ['hypothesis>=6.100', 'pytest>=8', 'scikit-learn>=1.4', 'setuptools>=70.1'],
+        'lint': ['flake8>=7', 'flake8-blind-except', 'flake8-builtins', 'flake8-class-newline',
+                 'flake8-comprehensions', 'flake8-deprecated', 'flake8-docstrings',
+                 'flake8-import-order', 'flake8-quotes', 'pydocstyle'],
+        'bench': ['octomap-python>=1.8', 'open3d>=0.18', 'psutil>=5.9'],
+        'viewer': ['rerun-sdk>=0.20'],
+    },
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
+        (f'share/{NAME}', ['package.xml']),
+        (f'share/{NAME}/config', sorted(glob('config/*.*'))),
+        (f'share/{NAME}/config/labels', sorted(glob('config/labels/*.yaml'))),
+        (f'share/{NAME}/launch', sorted(glob('launch/*.launch.py'))),
+    ],
+    zip_safe=False,
+    entry_points={'console_scripts': ['persem = persem_ros.cli:main']},
+)

@@ -1,0 +1,35 @@
+"""What all tests share: hypothesis profiles, a cache for compiled kernels, no ROS by accident."""
+
+import importlib.util
+import os
+from pathlib import Path
+import sys
+
+from hypothesis import HealthCheck, settings
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+HAVE_ROS = importlib.util.find_spec('rclpy') is not None
+
+# Node tests need rclpy; without it they are not even imported, and the last line says so.
+collect_ignore = [] if HAVE_ROS else ['ros']
+
+# One run is like the next, whatever the machine's speed; HYPOTHESIS_PROFILE=thorough looks for
+# new counterexamples.
+settings.register_profile('persem', deadline=None, derandomize=True, print_blob=True,
+                          suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile('thorough', deadline=None, max_examples=2000,
+                          suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile(os.environ.get('HYPOTHESIS_PROFILE', 'persem'))
+
+# Numba tells Python versions apart in its cache, but not NumPy versions.
+if os.access(ROOT, os.W_OK):
+    os.environ.setdefault('NUMBA_CACHE_DIR', str(
+        ROOT / '.pytest_cache' / f'numba-{sys.implementation.cache_tag}-numpy-{np.__version__}'))
+
+
+def pytest_terminal_summary(terminalreporter):
+    """Say what was left out for want of ROS."""
+    if not HAVE_ROS and (ROOT / 'test' / 'ros').is_dir():
+        terminalreporter.write_line(
+            'test/ros skipped: no rclpy here; "make ros-test" runs it where ROS 2 is installed')

@@ -1,0 +1,113 @@
+"""What setup.py, package.xml and the package say of themselves must agree, and install."""
+
+import importlib
+import os
+from pathlib import Path
+import re
+import runpy
+import shutil
+import subprocess
+import sys
+from xml.etree import ElementTree
+
+from persem_ros import __version__
+import pytest
+import setuptools
+
+ROOT = Path(__file__).resolve().parents[1]
+SOURCES = ('persem_ros', 'config', 'launch', 'resource', 'setup.py', 'setup.cfg', 'package.xml',
+           'pyproject.toml', 'LICENSE')
+
+
+@pytest.fixture(scope='module')
+def setup_arguments():
+    """Return what setup.py hands to setuptools.setup."""
+    arguments = {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(setuptools, 'setup', lambda **given: arguments.update(given))
+        patch.chdir(ROOT)
+        runpy.run_path('setup.py')
+    return arguments
+
+
+@pytest.fixture(scope='module')
+def package_xml():
+    """Return the root element of package.xml."""
+    return ElementTree.parse(ROOT / 'package.xml').getroot()
+
+
+def test_versions_are_equal(setup_arguments, package_xml):
+    newest = re.search(r'^(\d+\.\d+\.\d+|Forthcoming)\b.*\n-+$',
+                       (ROOT / 'CHANGELOG.rst').read_text(), re.MULTILINE).group(1)
+    assert setup_arguments['version'] == package_xml.findtext('version') == __version__
+    assert newest in (__version__, 'Forthcoming')
+
+
+def test_name_and_licence_are_equal(setup_arguments, package_xml):
+    assert setup_arguments['name'] == package_xml.findtext('name') == 'persem_ros'
+    assert setup_arguments['license'] == package_xml.findtext('license') == 'Apache-2.0'
+    assert (ROOT / 'resource' / 'persem_ros').is_file()
+
+
+def test_executables_exist(setup_arguments):
+    scripts = dict(re.split(r'\s*=\s*', line)
+                   for line in setup_arguments['entry_points']['console_scripts'])
+    assert 'persem' in scripts
+    for name, target in scripts.items():
+        module, function = target.split(':')
+        if module.startswith('persem_ros.ros.'):    # importing it needs ROS
+            source = ROOT / (module.replace('.', '/') + '.py')
+            assert f'def {function}(' in source.read_text(), name
+        else:
+            assert callable(getattr(importlib.import_module(module), function)), name
+
+
+def test_every_folder_of_modules_is_a_package(setup_arguments):
+    folders = {'.'.join(path.parent.relative_to(ROOT).parts)
+               for path in (ROOT / 'persem_ros').rglob('*.py')}
+    assert folders == set(setup_arguments['packages'])
+
+
+def test_every_configuration_file_is_installed(setup_arguments):
+    installed = {name for _, names in setup_arguments['data_files'] for name in names}
+    there = {str(path.relative_to(ROOT)) for folder in ('config', 'launch')
+             for path in (ROOT / folder).rglob('*.*')
+             if path.is_file() and '__pycache__' not in path.parts}
+    assert there <= installed
+
+
+def test_ros_dependencies_cover_the_imports_of_the_node(package_xml):
+    declared = {element.text for element in package_xml.iter('exec_depend')}
+    imported = {name for path in (ROOT / 'persem_ros').rglob('*.py')
+                for name in re.findall(r'^\s*(?:from|import) (rclpy|\w+_msgs|std_srvs|tf2_\w+)\b',
+                                       path.read_text(), re.MULTILINE)}
+    assert imported | {'rclpy'} <= declared
+
+
+def test_an_installation_finds_its_legends_and_settings(tmp_path):
+    pytest.importorskip('pip')
+    source, site = tmp_path / 'source', tmp_path / 'site'
+    source.mkdir()
+    for name in SOURCES:
+        if (ROOT / name).is_dir():
+            shutil.copytree(ROOT / name, source / name,
+                            ignore=shutil.ignore_patterns('__pycache__'))
+        elif (ROOT / name).exists():
+            shutil.copy(ROOT / name, source / name)
+    _run('-m', 'pip', 'install', '--quiet', '--no-deps', '--no-build-isolation',
+         '--disable-pip-version-check', '--target', site, source)
+    shutil.rmtree(source)
+    shown = _run('-c', 'import persem_ros.legend as x; print(x.__file__, *x.shipped_legends())',
+                 cwd=tmp_path, env={**os.environ, 'PYTHONPATH': str(site)})
+    module, *legends = shown.split()
+    assert Path(module).is_relative_to(site)
+    assert legends == sorted(path.stem for path in (ROOT / 'config' / 'labels').glob('*.yaml'))
+    assert (site / 'share' / 'persem_ros' / 'config' / 'persem.yaml').is_file()
+
+
+def _run(*arguments, **more):
+    """Run Python with *arguments* and return what it printed."""
+    done = subprocess.run([sys.executable, *map(str, arguments)], capture_output=True, text=True,
+                          **more)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
