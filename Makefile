@@ -1,0 +1,54 @@
+# make test          all tests that need no ROS; makes .venv first (python3 >= 3.10, python3-venv)
+# make demo          a simulated flight, its replay, its report: demo/
+# make bench         the timing tables of README.md
+# make lint          flake8 and pydocstyle with the rules of ament_flake8 and ament_pep257
+# make test-matrix   the tests with NumPy 1.26 + OpenCV 4 and with NumPy 2 + OpenCV 5
+# make ros-test      test/ros against the ROS 2 in /opt/ros/jazzy
+# make clean         away with everything that these made
+# PYTHON=python3.12, VENV=folder and ARGS="-k memory" change interpreter, folder and arguments.
+
+PYTHON ?= python3
+VENV ?= .venv
+RUN := $(VENV)/bin/python
+PEP257 := --ignore=D100,D101,D102,D103,D104,D105,D106,D107,D203,D212,D404 --match='.*\.py'
+
+.DELETE_ON_ERROR:
+.PHONY: test demo bench lint test-matrix ros-test clean
+# A sourced ROS would put its own pytest plugins and messages into our environment.
+unexport PYTHONPATH
+
+test: $(VENV)/installed-test
+	$(RUN) -m pytest -q $(ARGS)
+
+demo: $(VENV)/installed
+	$(RUN) -m persem_ros simulate demo/flight --force
+	$(RUN) -m persem_ros replay demo/flight --out demo/result --force
+
+bench: $(VENV)/installed-bench
+	$(RUN) benchmarks/run.py $(ARGS)
+
+lint: $(VENV)/installed-lint
+	$(RUN) -m flake8
+	$(RUN) -m pydocstyle $(PEP257) setup.py persem_ros test $(wildcard benchmarks examples launch)
+
+test-matrix:
+	PYTHON=$(PYTHON) .ci/test-matrix $(ARGS)
+
+ros-test:
+	.ci/ros-test $(ARGS)
+
+clean:
+	rm -rf .venv .venv-* build install log demo *.egg-info .pytest_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# One stamp an extra; pip runs again only when the requirements may have changed.
+$(VENV)/installed: setup.py setup.cfg | $(RUN)
+	$(RUN) -m pip install --quiet --disable-pip-version-check --editable .
+	@touch $@
+
+$(VENV)/installed-%: setup.py setup.cfg | $(RUN)
+	$(RUN) -m pip install --quiet --disable-pip-version-check --editable '.[$*]'
+	@touch $@
+
+$(RUN):
+	@PYTHON=$(PYTHON) .ci/make-venv $(VENV)
