@@ -1,6 +1,7 @@
 """The command persem: dispatch, exit status, one line for everything that goes wrong."""
 
 import argparse
+from contextlib import contextmanager
 import importlib
 import logging
 import os
@@ -33,7 +34,12 @@ def main(argv=None):
     argv = list(sys.argv[1:] if argv is None else argv)
     debug = '--debug' in argv       # wherever it stands, also behind the sub-command
     argv = [word for word in argv if word != '--debug']
-    _log_to_stderr(debug)
+    with _logging(debug):
+        return _status(argv, debug)
+
+
+def _status(argv, debug):
+    """Run *argv* and return the exit status; everything that goes wrong ends here."""
     try:
         args = _parser(argv).parse_args(argv)
         status = args.run(args)
@@ -88,13 +94,17 @@ def _say(sentence):
     print(f'persem: {" ".join(sentence.split())}', file=sys.stderr)
 
 
-def _log_to_stderr(debug):
-    """Show our own log records on standard error, as one line each."""
+@contextmanager
+def _logging(debug):
+    """Show our own log records on standard error, one line each, for as long as this lasts."""
     logger = logging.getLogger('persem_ros')
-    for handler in list(logger.handlers):
-        logger.removeHandler(handler)
     handler = logging.StreamHandler()
     handler.setFormatter(logging.Formatter('persem: %(message)s'))
+    level = logger.level
     logger.addHandler(handler)
     logger.setLevel(logging.DEBUG if debug else logging.INFO)
-    logger.propagate = False
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(level)
