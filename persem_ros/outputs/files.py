@@ -1,0 +1,94 @@
+"""Files that appear under their name only when they are whole."""
+
+from contextlib import contextmanager, suppress
+import json
+import os
+from pathlib import Path
+
+from persem_ros.errors import PersemError
+
+
+@contextmanager
+def replacing(path):
+    """
+    Give a temporary name beside *path*; when the block ends well, that file takes its place.
+
+    Whatever happens, *path* is the old file or the new one, never a part of it: the new one is
+    written to disk (fsync) before the name changes hands, which the file system does at once.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file to write; its folder is made where it is missing.
+
+    Yields
+    ------
+    Path
+        The name to write to, in the same folder; removed if the block fails.
+
+    Raises
+    ------
+    PersemError
+        When the folder cannot be written or the disk is full; the old file is untouched.
+
+    """
+    path = Path(os.path.abspath(path))
+    work = path.with_name(f'.{path.name}.{os.getpid()}.partial')
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_dir():
+            raise PersemError(f'cannot write {path}: it is a folder; give the name of a file')
+        _remove_left_behind(path)
+        yield work
+        _sync(work)
+        os.replace(work, path)
+        _sync(path.parent)
+    except OSError as error:
+        raise PersemError(f'cannot write {path}: {error.strerror or error}') from error
+    finally:
+        with suppress(OSError):
+            work.unlink()
+
+
+def write_bytes(path, *parts):
+    """Write bytes-like *parts* one after the other as the file *path*, whole or not at all."""
+    with replacing(path) as work:
+        with open(work, 'wb') as out:
+            for part in parts:
+                out.write(part)
+
+
+def write_text(path, text):
+    """Write *text* as the file *path* (UTF-8), whole or not at all."""
+    write_bytes(path, text.encode('utf-8'))
+
+
+def write_json(path, value):
+    """
+    Write *value* as JSON, whole or not at all; None becomes null.
+
+    Raises
+    ------
+    ValueError
+        For NaN and infinity, which JSON does not have.
+
+    """
+    write_text(path, json.dumps(value, indent=2, allow_nan=False) + '\n')
+
+
+def _sync(path):
+    """Have the system write a file's or folder's content to the disk now."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _remove_left_behind(path):
+    """Remove what writers of *path* left that were killed."""
+    for left in path.parent.glob(f'.{path.name}.*.partial*'):
+        pid = left.name[len(path.name) + 2:].partition('.')[0]
+        if pid.isdigit() and not Path('/proc', pid).exists() and Path('/proc').is_dir():
+            with suppress(OSError):
+                left.unlink()
