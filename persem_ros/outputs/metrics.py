@@ -5,13 +5,13 @@ import functools
 import numpy as np
 
 from persem_ros.core.jit import kernel
+from persem_ros.core.regions import REGIONS
 from persem_ros.errors import PersemError
 from persem_ros.frames import UNKNOWN
 
 TRUTH = 'truth'         # the truth measured against itself: its flicker is the floor
 EVERYWHERE = 'all'
-REGIONS = {'boundary': 1, 'high_switch': 2, 'difficult_core': 4}    # bits, core.regions
-CODES = 8
+CODES = 8               # sums of the bits of REGIONS
 FREE = np.uint64(2 ** 64 - 1)       # a free place in a table of counts
 
 
