@@ -1,0 +1,129 @@
+"""Messages of one instant to a Frame; the last step of the way in, live and in a replay."""
+
+import numpy as np
+
+from persem_ros.frames import Frame
+from persem_ros.inputs import messages
+from persem_ros.inputs.camera import camera, check, content, same_aspect
+from persem_ros.inputs.messages import BadMessage
+from persem_ros.inputs.sync import COLOR, DEPTH, LABELS, TRUTH
+
+CAMERAS_KEPT = 8        # a zoom lens must not fill the memory
+
+
+class Assembler:
+    """
+    Makes the frames of one camera.
+
+    Parameters
+    ----------
+    rectified : bool
+        The setting camera.rectified.
+    sensor : str
+        The camera's name, '' where there is only one.
+
+    """
+
+    def __init__(self, rectified=False, sensor=''):
+        """Start without a camera info."""
+        self.info = None
+        self._key = None
+        self._rectified = rectified
+        self._sensor = sensor
+        self._cameras = {}
+
+    def add_info(self, info):
+        """Use *info* from now on; refuse (BadMessage) one without a usable matrix."""
+        key = content(info)
+        if key == self._key:
+            return
+        check(info, self._rectified)
+        self.info, self._key = info, key
+
+    def frame(self, match, decoded):
+        """
+        Return the Frame of a match.
+
+        Parameters
+        ----------
+        match : persem_ros.inputs.sync.Match
+            With its pose.
+        decoded : dict of str to message
+            The messages of the match by kind.
+
+        Returns
+        -------
+        Frame
+            With the companions that could be read.
+        list of BadMessage
+            What was wrong with the others.
+
+        Raises
+        ------
+        BadMessage
+            Where labels, depth or camera info cannot be used.
+
+        """
+        label_msg, depth_msg = decoded[LABELS], decoded[DEPTH]
+        labels, encoding = _named(LABELS, messages.labels, label_msg)
+        depth = _named(DEPTH, messages.depth, depth_msg)
+        if not same_aspect(labels.shape[::-1], depth.shape[::-1]):
+            raise BadMessage('labels and depth differ in shape',
+                             f'a label image has the size {labels.shape[1]} x {labels.shape[0]}, '
+                             f'its depth image {depth.shape[1]} x {depth.shape[0]}, expected one '
+                             'aspect ratio')
+        view, blind = self._camera(*depth.shape[::-1], messages.frame_id(depth_msg))
+        if blind is not None:
+            depth[blind] = np.nan
+        companions, faults = {}, []
+        for kind, read in ((TRUTH, _truth_like(labels)), (COLOR, messages.color)):
+            if kind in decoded:
+                try:
+                    companions[kind] = _named(kind, read, decoded[kind])
+                except BadMessage as fault:
+                    faults.append(fault)
+        return Frame(match.stamp, labels, depth, view, match.T_map_camera, self._sensor,
+                     messages.frame_id(label_msg), encoding, **companions), faults
+
+    def _camera(self, width, height, frame_id):
+        """Return the Camera of a depth image and the mask of pixels that it cannot see."""
+        if self.info is None:
+            raise BadMessage('no camera info', 'no camera info came before the first frame')
+        key = self._key, width, height, frame_id
+        if key not in self._cameras:
+            if len(self._cameras) >= CAMERAS_KEPT:
+                self._cameras.pop(next(iter(self._cameras)))
+            view = camera(self.info, width, height, self._rectified, frame_id)
+            blind = np.isnan(view.rays[..., 0])
+            view.rays[blind] = 0.0
+            self._cameras[key] = view, blind if blind.any() else None
+        return self._cameras[key]
+
+
+def resampled(labels, shape):
+    """Return *labels* (H, W) on a grid of another *shape* by nearest pixel centres."""
+    if labels.shape == shape:
+        return labels
+    rows, columns = (((np.arange(n) + 0.5) * m / n).astype(int)
+                     for n, m in zip(shape, labels.shape))
+    return labels[rows[:, None], columns]
+
+
+def _truth_like(labels):
+    """Return a reader of truth images on the grid of *labels*."""
+    def read(msg):
+        truth, _ = messages.labels(msg)
+        if not same_aspect(truth.shape[::-1], labels.shape[::-1]):
+            raise BadMessage('shape differs from the labels', f'a truth image has the size '
+                             f'{truth.shape[1]} x {truth.shape[0]}, its label image '
+                             f'{labels.shape[1]} x {labels.shape[0]}')
+        return resampled(truth, labels.shape)
+    return read
+
+
+def _named(kind, read, msg):
+    """Read a message; a fault's reason starts with the topic's *kind*."""
+    try:
+        return read(msg)
+    except BadMessage as fault:
+        raise BadMessage(f'{kind}: {fault.reason}', f'{kind}: {fault}') from None

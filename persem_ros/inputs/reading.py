@@ -1,0 +1,226 @@
+"""One reading of a recording: messages in, frames out, in the order of header stamps."""
+
+import heapq
+import sys
+from typing import NamedTuple
+
+from persem_ros.errors import PersemError
+from persem_ros.inputs import messages
+from persem_ros.inputs.assemble import Assembler
+from persem_ros.inputs.messages import BadMessage
+from persem_ros.inputs.poses import NO_MOUNT, PoseBuffer
+from persem_ros.inputs.sync import COLOR, DEPTH, LABELS, TRUTH, Synchronizer
+
+ORDER = {TRUTH: 0, COLOR: 1, DEPTH: 2, LABELS: 3}   # at one stamp: whatever completes goes last
+INFO, POSE, TF = 'camera_info', 'pose', 'tf'
+WINDOW_BYTES = 64 << 20
+QUEUE_BYTES = 128 << 20
+POSE_WAIT = 30.0        # s; a recording loses nothing by waiting, but memory is bounded
+POSES_KEPT = 300.0      # s
+HEADER_NS = 1_000_000_000
+
+
+class Raw(NamedTuple):
+    """An image that has not been decoded: most of those without a partner never are."""
+
+    type: str
+    data: bytes
+    frame_id: str
+
+
+class Station:
+    """One camera on the way in: its queues, its infos, its name."""
+
+    def __init__(self, name, synchronizer, assembler):
+        """Keep them together."""
+        self.name = name
+        self.sync = synchronizer
+        self.assembler = assembler
+
+
+class Reading:
+    """
+    One pass over a recording.
+
+    Parameters
+    ----------
+    recording : persem_ros.inputs.recording.Recording
+        Whose counters this fills.
+    truth, color : bool
+        Whether those topics are read.
+
+    """
+
+    def __init__(self, recording, truth=False, color=False):
+        """Set up the queues."""
+        config = recording.config
+        self._recording = recording
+        self._source = recording.source
+        self._dropped = recording.dropped
+        self._poses = PoseBuffer(config, POSES_KEPT)
+        for transform in recording.statics:
+            self._poses.add_static(*transform)
+        self._roles = {}        # topic -> [(kind, station)]
+        self._stations = []
+        self._ready = []        # matches of all cameras, a heap
+        self._window = Window(round(config.sync.max_wait * 1e9), WINDOW_BYTES)
+        companions = [kind for kind, wanted in ((TRUTH, truth), (COLOR, color)) if wanted]
+        for name, chosen in recording.topics.items():
+            self._add_station(name, chosen, companions, config)
+        if config.pose.source == 'tf':
+            for topic in recording.choice.tf:
+                self._roles[topic.name] = [(TF, None)]
+
+    def frames(self):
+        """Yield the frames; the recording's counters follow."""
+        now = 0
+        for topic, kind, time, data in self._source.messages(set(self._roles)):
+            now = max(now, time)
+            for role, station in self._roles[topic]:
+                try:
+                    self._take(role, station, kind, now, data)
+                except BadMessage as fault:
+                    self._drop(role, fault)
+            yield from self._leaving(now)
+        self._push(self._window.flush(), now)
+        yield from self._leaving(now, True)
+        self._recording.note_poses(self._poses)
+
+    def _add_station(self, name, chosen, companions, config):
+        companions = [kind for kind in companions if kind in chosen]
+        sync = Synchronizer(config.sync, self._lookup, companions, True, POSE_WAIT, QUEUE_BYTES,
+                            self._dropped)
+        station = Station(name, sync, Assembler(config.camera.rectified, name))
+        station.assembler.add_info(self._recording.infos[chosen[INFO].name])
+        self._stations.append(station)
+        for kind in (LABELS, DEPTH, *companions, INFO):
+            self._roles.setdefault(chosen[kind].name, []).append((kind, station))
+        if POSE in chosen:
+            self._roles[chosen[POSE].name] = [(POSE, None)]     # once for all cameras
+
+    def _take(self, role, station, kind, now, data):
+        """Take one message: images wait in the window, the rest is known at once."""
+        if role in ORDER:
+            stamp, frame_id = header(data)
+            item = (role, station, stamp, Raw(kind, data, frame_id))
+            self._push(self._window.push(stamp, ORDER[role], now, len(data), item), now)
+            return
+        msg = self._source.decode(data, kind)
+        if role == INFO:
+            station.assembler.add_info(msg)
+        elif role == POSE:
+            if not self._poses.add(*messages.pose(msg)):
+                self._dropped['pose: stamp repeated'] += 1
+        else:
+            for item in msg.transforms:
+                self._poses.add_tf(*messages.pose(item))
+
+    def _push(self, items, now):
+        for role, station, stamp, raw in items:
+            station.sync.push(role, stamp, raw, len(raw.data), now)
+
+    def _leaving(self, now, last=False):
+        """Yield the frames that can leave, over all cameras in stamp order."""
+        for number, station in enumerate(self._stations):
+            for match in station.sync.flush() if last else station.sync.advance(now):
+                heapq.heappush(self._ready, (match.stamp, number, match))
+        while self._ready and (last or self._ready[0][0] < self._bound()):
+            stamp, number, match = heapq.heappop(self._ready)
+            frame = self._frame(self._stations[number], match)
+            self._poses.forget(stamp)
+            if frame is not None:
+                yield frame
+
+    def _bound(self):
+        """Return the stamp before which no camera can have another match."""
+        if len(self._stations) == 1:
+            return float('inf')
+        pending = [s.sync.first_pending for s in self._stations]
+        return min([self._window.front, *(stamp for stamp in pending if stamp is not None)])
+
+    def _lookup(self, match):
+        """Return the pose of a match; refuse poses that never lead to the camera."""
+        depth, labels = match.items[DEPTH], match.items[LABELS]
+        frame_id = depth.frame_id or labels.frame_id
+        found = self._poses.lookup(match.stamp, frame_id)
+        if found.reason == NO_MOUNT:
+            raise PersemError(f'{self._recording.path}: {self._poses.mount_sentence(frame_id)}')
+        return found
+
+    def _frame(self, station, match):
+        """Return the decoded frame of a match, None where it cannot be used."""
+        try:
+            decoded = {kind: self._source.decode(memoryview(raw.data), raw.type)
+                       for kind, raw in match.items.items()}
+            frame, faults = station.assembler.frame(match, decoded)
+        except BadMessage as fault:
+            self._drop(LABELS, fault, True)
+            return None
+        for fault in faults:
+            self._drop('', fault, True)
+        return frame
+
+    def _drop(self, role, fault, named=False):
+        reason = fault.reason if named or role == INFO else f'{role}: {fault.reason}'
+        self._dropped[reason] += 1
+        self._recording.examples.setdefault(reason, str(fault))
+
+
+class Window:
+    """
+    Puts images that arrive out of order into stamp order, across a bounded time of arrival.
+
+    Parameters
+    ----------
+    span : int
+        Nanoseconds of arrival that an image is held.
+    max_bytes : int
+        Bound of what is held; the earliest stamps go first.
+
+    """
+
+    def __init__(self, span, max_bytes):
+        """Start empty."""
+        self.front = -sys.maxsize       # stamp of the last image that left
+        self._span = span
+        self._max = max_bytes
+        self._heap = []
+        self._bytes = 0
+        self._count = 0
+
+    def push(self, stamp, order, now, size, item):
+        """Take an item; return those that leave, in order."""
+        self._count += 1
+        heapq.heappush(self._heap, (stamp, order, self._count, now, size, item))
+        self._bytes += size
+        leaving = []
+        while self._heap and (now - self._heap[0][3] >= self._span or self._bytes > self._max):
+            leaving.append(self._pop())
+        return leaving
+
+    def flush(self):
+        """Return everything held, in order."""
+        return [self._pop() for _ in range(len(self._heap))]
+
+    def _pop(self):
+        stamp, _, _, _, size, item = heapq.heappop(self._heap)
+        self._bytes -= size
+        self.front = stamp
+        return item
+
+
+def header(data):
+    """
+    Return (stamp in ns, frame_id) of a serialized message that begins with a std_msgs/Header.
+
+    Reading the header alone costs microseconds, where decoding a whole image costs a copy.
+
+    """
+    order = 'little' if data[1:2] == b'\x01' else 'big'
+    seconds = int.from_bytes(data[4:8], order, signed=True)
+    nanoseconds = int.from_bytes(data[8:12], order)
+    length = int.from_bytes(data[12:16], order)
+    text = bytes(data[16:16 + length])
+    if len(data) < 16 or len(text) < length:
+        raise BadMessage('damaged message', 'an image message ends inside of its header')
+    return seconds * HEADER_NS + nanoseconds, text.rstrip(b'\0').decode(errors='replace').lstrip('/')

@@ -1,0 +1,174 @@
+"""A recording as a stream of frames: what a replay reads."""
+
+from collections import Counter
+
+from persem_ros.errors import PersemError
+from persem_ros.inputs import messages
+from persem_ros.inputs.assemble import Assembler
+from persem_ros.inputs.messages import BadMessage
+from persem_ros.inputs.reading import Reading
+from persem_ros.inputs.source import Source
+from persem_ros.inputs.topics import Choice
+
+
+class Recording:
+    """
+    A rosbag2 recording and the topics of it that are used.
+
+    Parameters
+    ----------
+    path : str or Path
+        A rosbag2 folder (mcap or sqlite3, compressed or not), or a single .mcap or .db3 file.
+    config : persem_ros.config.Config
+        The settings topics.*, cameras.*, pose.*, frames.map, sync.* and camera.*.
+
+    Attributes
+    ----------
+    path : Path
+        The same.
+    topics : dict of str to dict of str to TopicInfo
+        What is used, by camera ('' where there is only one) and kind.
+    expected : int
+        Number of label images, for progress; frames may be fewer.
+    legend_text : str
+        The recording's own legend (YAML), '' where it has none.
+    dropped : collections.Counter
+        Of the last reading: messages that were not used, by reason. Reasons without a colon
+        count label images; others start with the kind of message.
+    examples : dict of str to str
+        One whole sentence for reasons that have one.
+
+    Raises
+    ------
+    PersemError
+        Not a recording, a topic missing or of the wrong type, an unusable camera info.
+
+    """
+
+    def __init__(self, path, config):
+        """Open the recording, choose topics, read static transforms and camera infos."""
+        self.source = Source(path)
+        self.path = self.source.path
+        self.config = config
+        self.dropped = Counter()
+        self.examples = {}
+        self.legend_text = ''
+        self._notes = {}
+        try:
+            self.choice = Choice(self.source, config)
+            self.choice.check()
+            self.topics = self.choice.cameras
+            self.expected = sum(chosen['labels'].count for chosen in self.topics.values())
+            self.statics = self._read_statics()
+            self.infos = self._read_infos()
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self):
+        """Return the open recording."""
+        return self
+
+    def __exit__(self, *_):
+        """Close the recording."""
+        self.close()
+
+    def close(self):
+        """Close the files."""
+        self.source.close()
+
+    @property
+    def notes(self):
+        """What the user should know and what did not prevent the use: a list of sentences."""
+        return self.source.notes + list(self._notes.values())
+
+    def has(self, kind):
+        """Return whether any camera has the optional topic 'truth' or 'color'."""
+        return any(kind in chosen for chosen in self.topics.values())
+
+    def frames(self, truth=False, color=False):
+        """
+        Read the recording once.
+
+        Parameters
+        ----------
+        truth, color : bool
+            Whether true labels and colour images are wanted, where there are any.
+
+        Yields
+        ------
+        persem_ros.frames.Frame
+            In stamp order.
+
+        Raises
+        ------
+        PersemError
+            When the whole recording gave no frame: why, in one sentence.
+
+        """
+        self.dropped = Counter()
+        self.examples = {}
+        used = 0
+        for frame in Reading(self, truth, color).frames():
+            used += 1
+            yield frame
+        if not used:
+            raise PersemError(self._nothing())
+
+    def note_poses(self, poses):
+        """Keep what a pose buffer has to say to the user."""
+        self._notes.update(poses.notes)
+
+    def _nothing(self):
+        """Return the sentence that says why no frame could be made."""
+        reasons = [(n, reason) for reason, n in self.dropped.items() if reason != 'depth: no labels']
+        if not reasons:
+            return f'{self.path} has no label images that could make a frame'
+        counted = ', '.join(f'{reason} ({n})' for n, reason in sorted(reasons, reverse=True))
+        worst = max(reasons)[1]
+        why = self.examples.get(worst, '')
+        return f'{self.path} gave no frame: {counted}' + (f'; {why}' if why else '')
+
+    def _read_statics(self):
+        """Return the (T, parent, child) of /tf_static; keep the legend met on the way."""
+        names = {t.name: t.count for t in self.choice.tf_static}
+        legends = {t.name for t in self.choice.legends}
+        left = sum(names.values()) + sum(t.count for t in self.choice.legends)
+        statics = []
+        if not left:
+            return statics
+        for name, kind, _, data in self.source.messages({*names, *legends}):
+            left -= 1
+            try:
+                msg = self.source.decode(data, kind)
+                if name in legends:
+                    self.legend_text = msg.data
+                else:
+                    statics += static_transforms(msg)
+            except BadMessage as fault:
+                self._notes['static'] = f'a static transform was not used: {fault}'
+            if not left:
+                break
+        return statics
+
+    def _read_infos(self):
+        """Return the first camera info of each topic, refusing those that no image can use."""
+        names = {chosen['camera_info'].name for chosen in self.topics.values()}
+        infos = {}
+        for name, kind, _, data in self.source.messages(names):
+            if name in infos:
+                continue
+            msg = self.source.decode(data, kind)
+            try:
+                Assembler(self.config.camera.rectified).add_info(msg)
+            except BadMessage as fault:
+                raise PersemError(f'{name}: {fault}') from None
+            infos[name] = msg
+            if len(infos) == len(names):
+                break
+        return infos
+
+
+def static_transforms(msg):
+    """Return the (T, parent, child) of a TFMessage."""
+    return [messages.pose(item)[1:] for item in msg.transforms]

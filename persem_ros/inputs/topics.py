@@ -1,0 +1,168 @@
+"""Which topics of a recording are used; where one is missing, what to type instead."""
+
+from persem_ros.config import topics_of
+from persem_ros.errors import PersemError
+from persem_ros.inputs import messages
+from persem_ros.inputs.messages import BadMessage
+
+IMAGE = 'sensor_msgs/msg/Image'
+COMPRESSED = 'sensor_msgs/msg/CompressedImage'
+INFO = 'sensor_msgs/msg/CameraInfo'
+TF = 'tf2_msgs/msg/TFMessage'
+STRING = 'std_msgs/msg/String'
+POSES = {'PoseStamped': 'geometry_msgs/msg/PoseStamped',
+         'PoseWithCovarianceStamped': 'geometry_msgs/msg/PoseWithCovarianceStamped',
+         'Odometry': 'nav_msgs/msg/Odometry',
+         'TransformStamped': 'geometry_msgs/msg/TransformStamped'}
+NEEDED = {'labels': 'label images', 'depth': 'depth images', 'camera_info': 'camera infos',
+          'pose': 'poses'}
+OPTIONAL = ('truth', 'color')
+TRANSPORTS = ('compressed', 'compressedDepth')
+SHOWN = 6           # candidates in one refusal
+PEEKED = 2000       # messages read for the encodings of candidates
+
+
+class Choice:
+    """
+    The topics that a configuration takes from a source.
+
+    Parameters
+    ----------
+    source : persem_ros.inputs.source.Source
+        The open recording.
+    config : persem_ros.config.Config
+        The settings topics.*, cameras.*, pose.source and pose.type.
+
+    Attributes
+    ----------
+    cameras : dict of str to dict of str to TopicInfo
+        Topics by camera and kind; the camera is '' where there is only one.
+    tf, tf_static, legends : list of TopicInfo
+        Topics with transforms and legends.
+    problems : list of str
+        What is missing, each with the flags that would help; empty: the choice is complete.
+
+    """
+
+    def __init__(self, source, config):
+        """Match the settings with what is there."""
+        self._source = source
+        self._encodings = None
+        filled = [topic for topic in source.topics if topic.count]
+        self._topics = filled + [topic for topic in source.topics if not topic.count]
+        self._pose_types = (POSES[config.pose.type],) if config.pose.type in POSES \
+            else tuple(POSES.values())
+        self.tf = [t for t in filled if t.type == TF and t.name.rpartition('/')[2] == 'tf']
+        self.tf_static = [t for t in filled
+                          if t.type == TF and t.name.rpartition('/')[2] == 'tf_static']
+        self.legends = [t for t in filled if t.type == STRING and t.name.endswith('legend')]
+        self.problems = []
+        self.cameras = {name: self._camera(config, name)
+                        for name in [n for n in config.cameras if n] or ['']}
+
+    def check(self):
+        """Refuse a choice with something missing."""
+        if self.problems:
+            raise PersemError(f'{self._source.path}: {"; ".join(self.problems)}; '
+                              f"'persem info {self._source.path}' lists all topics")
+
+    def candidates(self, kind):
+        """Return the topics that could serve as *kind*, the likely ones first."""
+        fitting = [t for t in self._topics if t.type in self._types(kind)]
+        if kind not in ('labels', 'depth', 'truth'):
+            return fitting
+        known = messages.DEPTH if kind == 'depth' else messages.LABELS
+        encodings = self.encodings()
+        fitting = [t for t in fitting if _encodes(encodings.get(t.name, ''), kind, known)]
+        return sorted(fitting, key=lambda t: ('depth' in t.name.lower()) != (kind == 'depth'))
+
+    def encodings(self):
+        """Return the encoding or format of the first message of every image topic, by name."""
+        if self._encodings is None:
+            self._encodings = {}
+            wanted = {t.name for t in self._topics if t.type in (IMAGE, COMPRESSED) and t.count}
+            for name, msg in first_messages(self._source, wanted).items():
+                self._encodings[name] = getattr(msg, 'encoding', None) or \
+                    getattr(msg, 'format', '')
+        return self._encodings
+
+    def _camera(self, config, camera):
+        topics = topics_of(config, camera)
+        prefix = f'cameras.{camera}.topics' if camera else 'topics'
+        chosen = {}
+        for kind, what in NEEDED.items():
+            if kind == 'pose' and config.pose.source == 'tf':
+                if not self.tf:
+                    self.problems.append(f'no /tf, which pose.source=tf needs'
+                                         f'{self._flags("pose", prefix, "--set pose.source=topic")}')
+                continue
+            wanted = getattr(topics, kind)
+            try:
+                chosen[kind] = self._find(kind, wanted)
+            except LookupError as error:
+                extra = '--set pose.source=tf' if kind == 'pose' and self.tf else ''
+                self.problems.append(f'no {what} on {wanted!r}{error}'
+                                     f'{self._flags(kind, prefix, extra)}')
+        for kind in OPTIONAL:
+            try:
+                chosen[kind] = self._find(kind, getattr(topics, kind))
+            except LookupError:
+                continue
+        return chosen
+
+    def _types(self, kind):
+        if kind == 'pose':
+            return self._pose_types
+        return (INFO,) if kind == 'camera_info' else (IMAGE, COMPRESSED)
+
+    def _find(self, kind, wanted):
+        """Return the topic for *wanted*; LookupError with what stands in the way."""
+        types = self._types(kind)
+        tails = [wanted.strip('/')]
+        if IMAGE in types:
+            tails += [f'{tails[0]}/{transport}' for transport in TRANSPORTS]
+        for tail in tails:
+            exact = [t for t in self._topics if t.name.strip('/') == tail]
+            fitting = [t for t in exact if t.type in types]
+            if fitting:
+                return fitting[0]
+            if exact:
+                raise LookupError(f', which is of type {exact[0].type}')
+        if wanted.startswith('/'):
+            raise LookupError()
+        for tail in tails:
+            below = [t for t in self._topics if t.name.endswith(f'/{tail}') and t.type in types]
+            if len(below) == 1:
+                return below[0]
+            if below:
+                raise LookupError(f', which could be any of {len(below)} topics')
+        raise LookupError()
+
+    def _flags(self, kind, prefix, extra=''):
+        """Return ' (--set ... or --set ...)' with the candidates for *kind*."""
+        flags = [f'--set {prefix}.{kind}={t.name}' for t in self.candidates(kind)[:SHOWN]]
+        flags = flags + [extra] if extra else flags
+        return f' ({" or ".join(flags)})' if flags else ' (no topic of that kind is there)'
+
+
+def first_messages(source, names):
+    """Return the first message of each topic in *names*, by name, without reading far."""
+    found = {}
+    for number, (name, kind, _, data) in enumerate(source.messages(names)):
+        if name not in found:
+            try:
+                found[name] = source.decode(data, kind)
+            except BadMessage:
+                continue
+        if len(found) == len(names) or number > PEEKED:
+            break
+    return found
+
+
+def _encodes(encoding, kind, known):
+    """Return whether an image encoding or format can serve as labels or depth."""
+    if not encoding or 'compressedDepth' in encoding:
+        return not encoding or kind == 'depth'
+    if 'jpeg' in encoding or 'jpg' in encoding:
+        return False
+    return encoding in known or 'png' in encoding.lower()
