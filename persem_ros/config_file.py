@@ -1,14 +1,13 @@
 """Settings as YAML in ROS form, read by the node and the command line alike."""
 
 import copy
+from pathlib import Path
 import re
 import textwrap
-from pathlib import Path
-
-import yaml
 
 from persem_ros.config import Config, nearest, settings, updated
 from persem_ros.errors import PersemError
+import yaml
 
 NODE = 'mapper'
 NODE_DEFAULTS = {'memory.max_history': 128}     # where the node's default is another
@@ -140,7 +139,7 @@ def read(path):
     sections = list(_sections(root, '', path)) if root is not None else []
     if not sections:
         raise PersemError(f"{path}: expected '/**:' and below it 'ros__parameters:', found "
-                          f"neither; 'persem config' prints a file to start from")
+                          "neither; 'persem config' prints a file to start from")
     ours = [(name, node) for name, node in sections if _is_ours(name)]
     if not ours:
         found = ', '.join(name for name, _ in sections)
@@ -168,7 +167,7 @@ def parse_item(item):
     known = {n: value for n, value, _ in settings()}
     default = known.get(name, '' if name.startswith('cameras.') else None)
     if default is None:
-        raise PersemError(f"--set {item}: unknown setting {name!r}{nearest(name, known)}; "
+        raise PersemError(f'--set {item}: unknown setting {name!r}{nearest(name, known)}; '
                           "'persem config' lists all settings")
     if isinstance(default, str):
         return name, text

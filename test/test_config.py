@@ -53,13 +53,13 @@ def test_yaml_is_what_ros_reads(write):
 
 
 def test_several_cameras(write):
-    config = config_file.from_file(write('''
+    config = config_file.from_file(write("""
 /**:
   ros__parameters:
     cameras.down.topics.depth: /below/depth
     cameras: [front, down]
     topics: {labels: seg}
-'''))
+"""))
     assert config.cameras == ('front', 'down')
     assert topics_of(config, 'front').labels == 'front/seg'
     assert topics_of(config, 'down').depth == '/below/depth'
@@ -86,7 +86,8 @@ def test_the_named_node_wins_over_the_wildcard(write):
     config = config_file.from_file(write(
         'mapper:\n  ros__parameters: {memory: {voxel_size: 0.1, stride: 2}}\n'
         '/**:\n  ros__parameters: {memory: {voxel_size: 0.2, min_pixels: 3}}\n'))
-    assert (config.memory.voxel_size, config.memory.stride, config.memory.min_pixels) == (0.1, 2, 3)
+    memory = config.memory
+    assert (memory.voxel_size, memory.stride, memory.min_pixels) == (0.1, 2, 3)
 
 
 @pytest.mark.parametrize(('text', 'words'), [
@@ -138,7 +139,7 @@ def test_files_that_cannot_be_read(tmp_path):
     ('camera.rectified=true', 'camera.rectified', True)])
 def test_options(item, name, value):
     config = config_file.from_args(None, [item])
-    assert dict((n, v) for n, v, _ in settings(config))[name] == value
+    assert {n: v for n, v, _ in settings(config)}[name] == value
 
 
 @pytest.mark.parametrize(('item', 'words'), [

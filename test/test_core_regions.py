@@ -3,9 +3,8 @@
 import core_worlds as cw
 from hypothesis import given, strategies as st
 import numpy as np
+from persem_ros.core.regions import region_image, REGIONS, regions
 import reference as ref
-
-from persem_ros.core.regions import region_image, regions, REGIONS
 
 
 @cw.examples(max_examples=80)
