@@ -1,0 +1,107 @@
+"""The fusion methods of spec section 4: one label for every voxel, from its history alone."""
+
+import numpy as np
+
+from persem_ros.core.append import TIE
+from persem_ros.core.jit import inlined, kernel
+from persem_ros.core.pools import CHUNK
+
+UNWEIGHTED, RECENCY, CONSENSUS, PROBABILISTIC = range(4)
+MODES = {'unweighted': UNWEIGHTED, 'recency': RECENCY, 'consensus': CONSENSUS,
+         'probabilistic': PROBABILISTIC}
+
+
+@inlined
+def winner(classes, sums, n, preferred):
+    """
+    Return argmax of sums[:n]: *preferred* where it ties, else the smaller id (section 2).
+
+    A preferred of -1 takes part in no tie.
+
+    """
+    most = sums[0]
+    for k in range(1, n):
+        most = max(most, sums[k])
+    best = np.int64(65536)
+    for k in range(n):
+        if most - sums[k] <= TIE:
+            if classes[k] == preferred:
+                return np.int64(preferred)
+            best = min(best, np.int64(classes[k]))
+    return best
+
+
+@inlined
+def place_of(classes, n, c):
+    """Return the place of class c in classes[:n], or n."""
+    k = 0
+    while k < n and classes[k] != c:
+        k += 1
+    return k
+
+
+@inlined
+def oldest(observations, first, max_history):
+    """Return the number of the oldest observation that a replay reads."""
+    if max_history > 0:
+        return max(np.int64(first), np.int64(observations) - max_history)
+    return np.int64(first)
+
+
+@inlined
+def last_time(links, head, first, n):
+    """Return t of observation number n - 1."""
+    link, at = np.int64(head), np.int64(first)
+    while at + CHUNK < n:
+        link, at = np.int64(links[link - 1].next), at + CHUNK
+    return np.int64(links[link - 1].t[(n - 1) % CHUNK])
+
+
+@kernel
+def fuse(begin, end, links, start, snapshot_classes, majority, observations, first, head, mode,
+         max_history, decay, beta, n_ids, labels):
+    """
+    Label rows begin .. end of a snapshot by weighted votes of their observations.
+
+    decay is lambda_r per frame, n_ids is K of the probabilistic method.
+
+    """
+    most = 1
+    for r in range(begin, end):
+        most = max(most, start[r + 1] - start[r])
+    classes, sums = np.empty(most, np.int64), np.empty(most)
+    for r in range(begin, end):
+        c_M = np.int64(majority[r])
+        if start[r + 1] - start[r] == 1:
+            labels[r] = c_M
+            continue
+        n_classes, base = 0, 0.0
+        n = np.int64(observations[r])
+        newest = last_time(links, head[r], first[r], n)
+        at = oldest(n, first[r], max_history)
+        link = np.int64(head[r])
+        for _ in range((at - np.int64(first[r])) // CHUNK):
+            link = np.int64(links[link - 1].next)
+        for i in range(at, n):
+            if i > at and i % CHUNK == 0:
+                link = np.int64(links[link - 1].next)
+            c = np.int64(links[link - 1].c[i % CHUNK])
+            s = np.float64(links[link - 1].s[i % CHUNK])
+            weight = s
+            if mode == UNWEIGHTED:
+                weight = 1.0
+            elif mode == RECENCY or mode == CONSENSUS:
+                weight = s * np.exp(-decay * (newest - np.int64(links[link - 1].t[i % CHUNK])))
+                if mode == CONSENSUS and i > at and winner(classes, sums, n_classes, c_M) == c:
+                    weight *= 1.0 + beta
+            elif n_ids >= 2:
+                # Every class but c gets (1 - s) / (K - 1): book it once and take it off c.
+                rest = (1.0 - s) / (n_ids - 1)
+                base += rest
+                weight = s - rest
+            k = place_of(classes, n_classes, c)
+            if k == n_classes:
+                classes[k], sums[k] = c, 0.0
+                n_classes += 1
+            sums[k] += weight
+        labels[r] = winner(classes, sums, n_classes, c_M)

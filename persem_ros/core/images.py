@@ -1,0 +1,102 @@
+"""The image front end: a label and a depth image become labelled points (spec section 1)."""
+
+import numpy as np
+
+from persem_ros.core.jit import kernel, split
+from persem_ros.core.render import nearest
+from persem_ros.errors import PersemError
+from persem_ros.frames import IGNORED, MAX_ID
+
+
+def points(frame, settings):
+    """
+    Return the labelled points of a frame, one per depth pixel.
+
+    Parameters
+    ----------
+    frame : persem_ros.frames.Frame
+    settings : persem_ros.config.Memory
+        Depth range, stride, ignored and dynamic labels.
+
+    Returns
+    -------
+    points : ndarray, shape (h * w, 3), float64
+        Metres in the optical frame, row by row; NaN where depth is missing or out of range.
+    labels : ndarray, shape (h * w,), int32
+        The pixel's id; -1 where it does not count.
+
+    """
+    depth = np.require(frame.depth, np.float64, 'CW')
+    labels = counted(resampled(frame.labels, depth.shape), settings)
+    result = np.empty((depth.size, 3))
+    rays = np.require(frame.camera.rays, np.float64, 'CW')
+    split(backproject, depth.shape[0], depth, rays, float(settings.min_depth),
+          float(settings.max_depth), result.reshape(depth.shape + (3,)), grain=64)
+    return result, labels.reshape(-1)
+
+
+def resampled(labels, shape):
+    """
+    Return *labels* on a grid of another size and the same aspect ratio, nearest pixel.
+
+    Raises
+    ------
+    PersemError
+        Where the aspect ratios differ by more than a pixel's rounding.
+
+    """
+    labels = np.asarray(labels)
+    check_aspect(labels.shape, shape)
+    return nearest(labels, shape)
+
+
+def check_aspect(labels, depth):
+    """Refuse label and depth images whose shapes (rows, columns) are not proportional."""
+    (H, W), (h, w) = labels, depth
+    if abs(H * w - h * W) > max(H, W, h, w):
+        raise PersemError(
+            f'label image {W} x {H} and depth image {w} x {h} differ in shape: expected one '
+            'aspect ratio (crop or register one of them)')
+
+
+def counted(labels, settings):
+    """Return a copy of *labels*, int32, with -1 for each pixel that does not count."""
+    table = _table(tuple(settings.ignore_labels), tuple(settings.dynamic_labels))
+    labels = np.require(labels, np.int32, 'C')
+    result = table[np.clip(labels, -1, MAX_ID + 1)]
+    if settings.stride > 1:
+        kept = np.full(result.shape, IGNORED, np.int32)
+        kept[::settings.stride, ::settings.stride] = \
+            result[::settings.stride, ::settings.stride]
+        return kept
+    return result
+
+
+_tables = {}
+
+
+def _table(ignored, dynamic):
+    """Return a look-up table id -> id or -1; its last places are for 65535 and for -1."""
+    key = ignored + dynamic
+    if key not in _tables:
+        table = np.arange(MAX_ID + 3, dtype=np.int32)
+        table[[MAX_ID + 1, MAX_ID + 2]] = IGNORED
+        table[[c for c in key if 0 <= c <= MAX_ID]] = IGNORED
+        _tables[key] = table
+    return _tables[key]
+
+
+@kernel
+def backproject(start, stop, depth, rays, min_depth, max_depth, out):
+    """Write (x, y, z) = (ray * d, d) of rows start .. stop; NaN where d is no measurement."""
+    for v in range(start, stop):
+        for u in range(depth.shape[1]):
+            d = depth[v, u]
+            if min_depth <= d <= max_depth and d > 0.0:
+                out[v, u, 0] = rays[v, u, 0] * d
+                out[v, u, 1] = rays[v, u, 1] * d
+                out[v, u, 2] = d
+            else:
+                out[v, u, 0] = np.nan
+                out[v, u, 1] = np.nan
+                out[v, u, 2] = np.nan

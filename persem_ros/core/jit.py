@@ -1,0 +1,97 @@
+"""All of the numba machinery: one decorator, one way to use several cores, one warm-up."""
+
+import logging
+import os
+import tempfile
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import numba
+
+log = logging.getLogger(__name__)
+KERNELS = []            # every compiled function, for warm-up and for the test that counts them
+_pool = None
+_threads = 0
+
+
+def kernel(function):
+    """
+    Compile *function* once for the types it is first called with; it releases the GIL.
+
+    Compiled code is cached beside the source, else in the user's cache folder, else in a
+    temporary one: an installed package may be read-only and a service may have no home.
+    No fastmath: spec section 2 fixes the order of every sum.
+
+    """
+    try:
+        compiled = numba.njit(cache=True, nogil=True, error_model='numpy')(function)
+    except RuntimeError:        # numba found no folder that it may write
+        numba.config.CACHE_DIR = os.path.join(
+            tempfile.gettempdir(), f'persem-kernels-{os.getuid()}')
+        compiled = numba.njit(cache=True, nogil=True, error_model='numpy')(function)
+    KERNELS.append(compiled)
+    return compiled
+
+
+def inlined(function):
+    """
+    Compile *function* into the kernels that call it.
+
+    Without this the thirty arrays of core.pools.Pools are passed one by one at every call,
+    which made adding a frame 10 times slower.
+
+    """
+    return numba.njit(nogil=True, error_model='numpy', forceinline=True)(function)
+
+
+def signatures():
+    """Return {kernel name: number of compiled versions}; 1 each, or something is wrong."""
+    return {f'{k.__module__}.{k.__name__}': len(k.signatures) for k in KERNELS}
+
+
+def set_threads(number):
+    """Use *number* threads for the kernels that can be split; 0: one per core, 8 at most."""
+    global _threads, _pool
+    _threads = int(number) or min(8, len(os.sched_getaffinity(0)))
+    _pool = ThreadPoolExecutor(_threads, 'kernel') if _threads > 1 else None
+
+
+def threads():
+    """Return the number of threads in use."""
+    if not _threads:
+        set_threads(int(os.environ.get('PERSEM_THREADS', '0')))
+    return _threads
+
+
+def split(function, n, *arguments, grain=4096):
+    """
+    Call function(start, stop, *arguments) over slices of range(n), one thread a slice.
+
+    The slices write to separate elements, so the result is the same for any number of threads.
+    Plain threads rather than numba's parallel loops: its portable threading layer aborts the
+    process when two Python threads (mapping and refinement) enter it at once.
+
+    """
+    parts = min(threads(), -(-n // grain))
+    if parts <= 1:
+        return [function(0, n, *arguments)] if n else []
+    edges = [n * i // parts for i in range(parts + 1)]
+    jobs = [_pool.submit(function, a, b, *arguments) for a, b in zip(edges[1:-1], edges[2:])]
+    first = function(edges[0], edges[1], *arguments)
+    return [first] + [job.result() for job in jobs]
+
+
+class Announcement:
+    """Say that kernels are being compiled, but only when it takes long enough to be noticed."""
+
+    def __enter__(self):
+        """Start the clock."""
+        self._timer = threading.Timer(1.5, log.warning, [
+            'compiling the kernels, once (up to 20 s); later starts load them from a cache'])
+        self._timer.daemon = True
+        self._timer.start()
+        return self
+
+    def __exit__(self, *_):
+        """Stop the clock."""
+        self._timer.cancel()

@@ -1,0 +1,258 @@
+"""The map: for every world voxel the history of what was seen there (spec section 2)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from persem_ros.core.append import (
+    add_observations, read_evidence, release_links)
+from persem_ros.core.blocks import count_blocks, find_voxels, list_voxels, new_table, rehash
+from persem_ros.core.jit import kernel, split
+from persem_ros.core.pools import CHUNK, OBSERVATIONS, STORED, Store
+from persem_ros.errors import PersemError
+
+
+@dataclass(frozen=True, eq=False)
+class FrameRecord:
+    """A row of the frame table: when, by what and from where the map was looked at."""
+
+    t: int
+    session: int
+    sensor: str
+    stamp: int
+    T_map_sensor: np.ndarray
+
+
+class VoxelMemory:
+    """
+    Voxels in blocks of 8 x 8 x 8, each with its observation history and class evidence.
+
+    One thread adds, reads and begins refinements; a refinement computes beside it on the
+    snapshot that it was handed (core.snapshot).
+
+    Parameters
+    ----------
+    voxel_size : float
+        Metres.
+    origin : sequence of 3 floats
+        Point of the map frame, metres, from which voxels are counted.
+    max_history : int
+        Newest observations kept for the replay of spec section 3; 0: all. Evidence, observation
+        counts and volatility always cover everything.
+
+    """
+
+    def __init__(self, voxel_size, origin=(0.0, 0.0, 0.0), max_history=0):
+        self.voxel_size = float(voxel_size)
+        self.origin = tuple(float(x) for x in origin)
+        self.max_history = int(max_history)
+        self.session = 0
+        self.frames = []
+        self.seen_ids = np.zeros(65536, np.uint8)   # ids of all counted pixels (section 4)
+        self.rho = None             # class volatility of the last full refinement
+        self.refinements = 0        # under way: their links must not be used again
+        self.store = Store()
+        self.table = new_table(512)
+        self._t_of_stamp = {}
+
+    @property
+    def m(self):
+        """The pools' arrays, for kernels."""
+        return self.store.arrays
+
+    @property
+    def n_voxels(self):
+        """Number of observed voxels."""
+        return count_blocks(self.m.used)[1]
+
+    @property
+    def n_blocks(self):
+        """Number of blocks."""
+        return count_blocks(self.m.used)[0]
+
+    @property
+    def n_observations(self):
+        """Number of observations ever added."""
+        return int(self.m.used[OBSERVATIONS])
+
+    def add(self, observations):
+        """
+        Append one frame's observations (core.observe.Observations) to the voxels' histories.
+
+        Returns
+        -------
+        ndarray, shape (n,), int64
+            The voxel number of each row of observations.voxels, -1 where nothing was observed.
+            Numbers are places in memory: they hold until a block leaves it.
+
+        """
+        n = len(observations.labels)
+        self.store.check_room(n)
+        self._make_room(n)
+        if self.refinements == 0:
+            release_links(self.m.free, self.m.retired, self.m.used)
+        t = self._t(observations)
+        rows = np.empty(n, np.int64)
+        add_observations(self.m, self.table, observations.voxels, observations.labels,
+                         observations.confidences, t, self.max_history, rows)
+        self.seen_ids[observations.ids] = 1
+        return rows
+
+    def find(self, voxels):
+        """Return the voxel numbers (n,) int64 of voxel indices (n, 3); -1 for unknown ones."""
+        voxels = np.require(voxels, np.int32, 'C').reshape(-1, 3)
+        out = np.empty(len(voxels), np.int64)
+        split(find_voxels, len(voxels), self.m.blocks, self.table, voxels, out, grain=16384)
+        return out
+
+    def new_session(self):
+        """Begin a session: its stamps are new even where they repeat earlier ones."""
+        self.session += 1
+        self._t_of_stamp = {}
+
+    def resume(self, frames, session):
+        """Take over the frame table of a saved map; it goes on in the same session."""
+        self.frames, self.session = list(frames), int(session)
+        self._t_of_stamp = {f.stamp: f.t for f in frames if f.session == self.session}
+
+    def volatility(self):
+        """
+        Return rho, shape (65536,), float64: P(the next label differs | this one's is c).
+
+        From two counters per class over all consecutive pairs of all histories; 0 where c
+        starts no pair.
+
+        """
+        starts = self.m.starts
+        return np.divide(self.m.changes, starts, out=np.zeros(65536), where=starts > 0)
+
+    def listing(self):
+        """Return (block, cell, voxel number), each (n,) int64, of all voxels, block by block."""
+        blocks, voxels = count_blocks(self.m.used)
+        lists = tuple(np.empty(voxels, np.int64) for _ in range(3))
+        n = list_voxels(self.m.blocks, np.arange(blocks), *lists)
+        return tuple(a[:n] for a in lists)
+
+    def voxels(self):
+        """
+        Return the map as columns, sorted by voxel index.
+
+        Returns
+        -------
+        dict
+            voxel (n, 3) int32, label, majority (n,) uint16, confidence (n,) float32 (p_v of the
+            label), observations (n,) uint32, switches (n,) uint32, source (n,) uint8, number
+            (n,) int64.
+
+        """
+        block, cell, number = self.listing()
+        index = voxel_index(self.m, block, cell)
+        order = sort_order(index)
+        number = number[order]
+        voxels = self.m.voxels
+        confidence = np.empty(len(number), np.float32)
+        label = voxels['label'][number]
+        split(share, len(number), voxels, self.m.spills, number, label, confidence)
+        return {'voxel': index[order], 'label': label, 'majority': voxels['majority'][number],
+                'confidence': confidence, 'observations': voxels['n'][number],
+                'switches': voxels['switches'][number], 'source': voxels['source'][number],
+                'number': number}
+
+    def number(self, voxel):
+        """Return the number of one voxel index (i, j, k); refuse one that was never seen."""
+        number = int(self.find(np.array([voxel], np.int32))[0])
+        if number < 0:
+            raise PersemError(f'voxel {tuple(int(i) for i in voxel)} was never observed')
+        return number
+
+    def history(self, voxel):
+        """Return the stored observations of a voxel: labels uint16, confidences f4, t int32."""
+        record, links = self.m.voxels[self.number(voxel)], self.m.links
+        n, at, link = int(record['n']), int(record['first']), int(record['head'])
+        parts = []
+        while link and at < n:
+            entry, stop = links[link - 1], min(CHUNK, n - at)
+            parts.append((entry['c'][:stop], entry['s'][:stop], entry['t'][:stop]))
+            at, link = at + CHUNK, int(entry['next'])
+        columns = tuple(np.concatenate(column) for column in zip(*parts))
+        keep = min(n, self.max_history) if self.max_history else n
+        return tuple(column[-keep:] for column in columns)
+
+    def evidence(self, voxel):
+        """Return {class: h_v(class)} of a voxel."""
+        v = self.number(voxel)
+        classes, sums = np.empty(65536, np.uint16), np.empty(65536)
+        n = evidence_of(self.m.voxels, self.m.spills, v, classes, sums)
+        return dict(zip(classes[:n].tolist(), sums[:n].tolist()))
+
+    def nbytes(self):
+        """Return {what: bytes in use}, everything included, but for the frame table's poses."""
+        sizes = self.store.nbytes()
+        sizes['hash table'] = self.table.nbytes
+        sizes['classes'] = self.m.starts.nbytes + self.m.changes.nbytes + self.seen_ids.nbytes
+        return sizes
+
+    def _make_room(self, blocks):
+        """Let the hash table hold *blocks* more blocks at most half full."""
+        needed = self.n_blocks + blocks
+        if 2 * needed > len(self.table):
+            self.table = new_table(2 * needed)
+            rehash(self.m.blocks, self.m.used, self.table)
+
+    def _t(self, observations):
+        """Enter the frame into the table and return its t (spec section 1)."""
+        t = self._t_of_stamp.get(observations.stamp)
+        if t is None:
+            t = self.frames[-1].t + 1 if self.frames else 0
+            self._t_of_stamp[observations.stamp] = t
+        self.frames.append(FrameRecord(t, self.session, observations.sensor, observations.stamp,
+                                       observations.T_map_sensor))
+        return t
+
+
+@kernel
+def share(start, stop, voxels, spills, number, label, out):
+    """Write p_v of each voxel's label; 0 where the voxel never saw it."""
+    classes = np.empty(65536, np.uint16)
+    sums = np.empty(65536)
+    for p in range(start, stop):
+        n = read_evidence(voxels, spills, number[p], classes, sums, 0)
+        total, own = 0.0, 0.0
+        for k in range(n):
+            total += sums[k]
+            if classes[k] == label[p]:
+                own = sums[k]
+        out[p] = own / total
+
+
+@kernel
+def evidence_of(voxels, spills, v, classes, sums):
+    """Write one voxel's evidence to the front of two arrays; return how much."""
+    return read_evidence(voxels, spills, v, classes, sums, 0)
+
+
+def voxel_index(m, block, cell):
+    """Return the voxel indices (n, 3) int32 of (block number, cell) pairs."""
+    index = m.blocks['index'][block] * np.int32(8)
+    index[:, 0] += (cell >> 6).astype(np.int32)
+    index[:, 1] += (cell >> 3 & 7).astype(np.int32)
+    index[:, 2] += (cell & 7).astype(np.int32)
+    return index
+
+
+def sort_order(index):
+    """Return the order that sorts voxel indices (n, 3) lexicographically."""
+    if not len(index):
+        return np.empty(0, np.int64)
+    low = index.min(axis=0).astype(np.int64)
+    span = index.max(axis=0).astype(np.int64) - low + 1
+    if float(span[0]) * float(span[1]) * float(span[2]) < 2.0 ** 62:
+        shifted = index - low       # one key sorts 4 times as fast as three
+        return np.argsort((shifted[:, 0] * span[1] + shifted[:, 1]) * span[2] + shifted[:, 2],
+                          kind='stable')
+    return np.lexsort((index[:, 2], index[:, 1], index[:, 0]))
+
+
+def stored_observations(memory):
+    """Return the number of observations that the histories hold (all, without a bound)."""
+    return int(memory.m.used[STORED])

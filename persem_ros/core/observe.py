@@ -1,0 +1,234 @@
+"""Points to observations: what one frame says about each voxel (spec section 1)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from persem_ros.core.jit import inlined, kernel, split
+from persem_ros.errors import PersemError
+from persem_ros.frames import MAX_ID, UNKNOWN
+
+NOWHERE = np.int64(-1)      # key of a point without a place
+MIX = np.uint64(0x9E3779B97F4A7C15)     # Fibonacci hashing
+LIMIT = 2.0 ** 31 - 2.0 ** 21           # voxel indices are int32, with room for the reach
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """
+    What one frame says: at most one observation of each voxel.
+
+    Attributes
+    ----------
+    voxels : ndarray, shape (n, 3), int32
+        Indices of the voxels that the points fall into, in order of first appearance.
+    labels : ndarray, shape (n,), uint16
+        The most frequent id there; UNKNOWN (65535) where no counted point makes it an
+        observation.
+    confidences : ndarray, shape (n,), float32
+        Share of that id among the counted points.
+    where : ndarray, shape (N,), int32
+        Row in voxels of each point, -1 for a point without a place.
+    ids : ndarray, shape (k,), uint16
+        The distinct ids of all counted points.
+    stamp : int
+        Nanoseconds.
+    T_map_sensor : ndarray, shape (4, 4), float64
+    sensor : str
+
+    """
+
+    voxels: np.ndarray
+    labels: np.ndarray
+    confidences: np.ndarray
+    where: np.ndarray
+    ids: np.ndarray
+    stamp: int
+    T_map_sensor: np.ndarray
+    sensor: str
+
+
+def observe(points, labels, T_map_sensor, voxel_size, min_pixels=1, origin=(0.0, 0.0, 0.0),
+            stamp=0, sensor=''):
+    """
+    Return the Observations of one frame.
+
+    Parameters
+    ----------
+    points : ndarray, shape (N, 3), float64
+        Metres in the sensor frame; NaN or infinity: no measurement.
+    labels : ndarray, shape (N,), int32
+        Class ids; below 0 or above 65534: the point is placed but not counted.
+    T_map_sensor : ndarray, shape (4, 4), float64
+        Maps sensor points to the map.
+    voxel_size : float
+        Metres.
+    min_pixels : int
+        Counted points that make an observation.
+    origin : sequence of 3 floats
+        Subtracted from all positions, metres.
+    stamp : int
+        Nanoseconds.
+    sensor : str
+        Name of the sensor.
+
+    """
+    points = np.require(points, np.float64, 'CW').reshape(-1, 3)
+    labels = np.require(labels, np.int32, 'CW').reshape(-1)
+    T = np.array(T_map_sensor, np.float64)
+    pose = np.concatenate([T[:3, :3].ravel(), T[:3, 3] - np.asarray(origin, np.float64)])
+    base = np.floor(pose[9:] / voxel_size)
+    if not np.abs(base).max() < LIMIT:
+        raise PersemError(
+            f'position {T[:3, 3].tolist()} m is too far away for voxels of {voxel_size} m: '
+            'expected finite coordinates near map.origin')
+    keys = np.empty(len(points), np.int64)
+    split(locate, len(points), points, pose, base, float(voxel_size), keys, grain=32768)
+    where = np.empty(len(points), np.int32)
+    voxels, best, confidence, seen = group(
+        keys, base.astype(np.int64), labels, int(min_pixels), where)
+    return Observations(voxels, best, confidence, where,
+                        np.flatnonzero(seen).astype(np.uint16), int(stamp), T, sensor)
+
+
+@kernel
+def locate(start, stop, points, pose, base, voxel_size, keys):
+    """
+    Write the voxel of each point, floor((R p + t) / voxel_size) per axis (spec section 1).
+
+    Three indices relative to the sensor's own voxel in one integer, 21 bits each; NOWHERE for a
+    point without a place (NaN, or a million voxels away).
+
+    """
+    reach = 2.0 ** 20
+    for p in range(start, stop):
+        x, y, z = points[p, 0], points[p, 1], points[p, 2]
+        i = np.floor((pose[0] * x + pose[1] * y + pose[2] * z + pose[9]) / voxel_size) - base[0]
+        j = np.floor((pose[3] * x + pose[4] * y + pose[5] * z + pose[10]) / voxel_size) - base[1]
+        k = np.floor((pose[6] * x + pose[7] * y + pose[8] * z + pose[11]) / voxel_size) - base[2]
+        if abs(i) < reach and abs(j) < reach and abs(k) < reach:    # false for NaN
+            keys[p] = (np.int64(i + reach) << 42) | (np.int64(j + reach) << 21) \
+                | np.int64(k + reach)
+        else:
+            keys[p] = NOWHERE
+
+
+# What is known of a voxel while a frame's points are counted: its place, its first id with the
+# number of points, and where the list of further ids begins. One record, one cache line.
+TALLY = np.dtype([('key', 'i8'), ('id', 'i4'), ('count', 'i4'), ('more', 'i4'), ('pad', 'i4')])
+EXTRA = np.dtype([('id', 'i4'), ('count', 'i4'), ('more', 'i4')])
+
+
+@kernel
+def group(keys, base, labels, min_pixels, where):
+    """
+    Gather points by voxel and vote: the heart of observe().
+
+    A point in the voxel of its predecessor, or of the one before that, needs no look-up: that
+    is most of them in an image's row.
+
+    """
+    table = np.zeros(1 << 14, np.int32)
+    bits = np.uint64(64 - 14)
+    tallies = np.empty(len(keys), TALLY)
+    extras = np.empty(len(keys), EXTRA)
+    seen = np.zeros(65536, np.uint8)
+    n, n_extras = 0, 0
+    last, last_key, older, older_key = 0, NOWHERE, 0, NOWHERE
+    for p in range(len(keys)):
+        key = keys[p]
+        if key == NOWHERE:
+            where[p] = -1
+            continue
+        if key == last_key:
+            g = last
+        elif key == older_key:
+            g = older
+            older, older_key, last, last_key = last, last_key, g, key
+        else:
+            slot = np.int64((np.uint64(key) * MIX) >> bits)
+            while table[slot] != 0 and tallies[table[slot] - 1].key != key:
+                slot = (slot + 1) & (len(table) - 1)
+            g = np.int64(table[slot]) - 1
+            if g < 0:
+                g = n
+                n += 1
+                table[slot] = n
+                tallies[g].key = key
+                tallies[g].id = -1
+                tallies[g].count = 0
+                tallies[g].more = -1
+                if 2 * n > len(table):
+                    bits -= np.uint64(2)
+                    table = _grown(table, bits, tallies, n)
+            older, older_key, last, last_key = last, last_key, g, key
+        where[p] = g
+        c = labels[p]
+        if c == tallies[g].id:
+            if c >= 0:
+                tallies[g].count += 1
+        elif 0 <= c <= MAX_ID:
+            if tallies[g].id < 0:
+                tallies[g].id = c
+                tallies[g].count = 1
+                seen[c] = 1
+            elif _count_extra(tallies, extras, n_extras, g, c):
+                n_extras += 1
+                seen[c] = 1
+    voxels = np.empty((n, 3), np.int32)
+    for g in range(n):
+        key = tallies[g].key
+        voxels[g, 0] = (key >> 42) - (1 << 20) + base[0]
+        voxels[g, 1] = (key >> 21 & 0x1fffff) - (1 << 20) + base[1]
+        voxels[g, 2] = (key & 0x1fffff) - (1 << 20) + base[2]
+    best, confidence = _vote(np.int64(n), min_pixels, tallies, extras)
+    return voxels, best, confidence, seen
+
+
+@inlined
+def _count_extra(tallies, extras, n_extras, g, c):
+    """Count id c, not the first of voxel g; return whether it is new there."""
+    e = np.int64(tallies[g].more)
+    while e >= 0:
+        if extras[e].id == c:
+            extras[e].count += 1
+            return False
+        e = np.int64(extras[e].more)
+    extras[n_extras].id = c
+    extras[n_extras].count = 1
+    extras[n_extras].more = tallies[g].more
+    tallies[g].more = n_extras
+    return True
+
+
+@kernel
+def _grown(table, bits, tallies, n):
+    """Return a table four times as large that holds the first n tallies."""
+    table = np.zeros(4 * len(table), np.int32)
+    for g in range(n):
+        slot = np.int64((np.uint64(tallies[g].key) * MIX) >> bits)
+        while table[slot] != 0:
+            slot = (slot + 1) & (len(table) - 1)
+        table[slot] = g + 1
+    return table
+
+
+@kernel
+def _vote(n, min_pixels, tallies, extras):
+    """Return each voxel's most frequent id (a tie: the smaller) and its share."""
+    best = np.full(n, UNKNOWN, np.uint16)
+    confidence = np.zeros(n, np.float32)
+    for g in range(n):
+        total = most = np.int64(tallies[g].count)
+        label = np.int64(tallies[g].id)
+        e = np.int64(tallies[g].more)
+        while e >= 0:
+            count, c = np.int64(extras[e].count), np.int64(extras[e].id)
+            total += count
+            if count > most or (count == most and c < label):
+                most, label = count, c
+            e = np.int64(extras[e].more)
+        if total >= min_pixels and total > 0:
+            best[g] = label
+            confidence[g] = np.float32(most / total)
+    return best, confidence

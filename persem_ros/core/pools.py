@@ -1,0 +1,116 @@
+"""
+Where the map's bytes are: pools of blocks, voxels, observations and spilt evidence.
+
+A pool reserves address space for as much as fits the machine's memory; the operating system
+gives it a page when it is first written. So pools grow without copying, nothing ever moves, and
+a refinement can read the histories it was handed while the next frame is being added.
+
+"""
+
+from collections import namedtuple
+import mmap
+import os
+
+import numpy as np
+
+from persem_ros.errors import PersemError
+
+SIDE = 8                    # voxels along a block's edge
+CELLS = SIDE ** 3
+CHUNK = 8                   # observations in a link of a history
+INLINE = 4                  # classes whose evidence lies in the voxel's own record
+
+# One cache line and a bit per voxel: what an added observation touches lies together.
+VOXEL = np.dtype([
+    ('sums', 'f8', INLINE),         # evidence h_v of classes[k]; 0 where the place is free
+    ('n', 'u4'),                    # observations N_v
+    ('switches', 'u4'),             # label changes between consecutive observations
+    ('head', 'u4'), ('tail', 'u4'),     # first and last link of the history, + 1
+    ('first', 'u4'),                # number of the observation at place 0 of the first link
+    ('more', 'u4'),                 # first link of spilt evidence, + 1; 0: none
+    ('classes', 'u2', INLINE),
+    ('majority', 'u2'),             # c_M
+    ('label', 'u2'),                # after refinement
+    ('last', 'u2'),                 # label of the newest observation
+    ('source', 'u1'),               # 0 majority, 1 history, 2 trust, 3 context
+    ('dirty', 'u1')])               # evidence changed since a refinement was begun
+LINK = np.dtype([('c', 'u2', CHUNK), ('s', 'f4', CHUNK), ('t', 'i4', CHUNK), ('next', 'u4')])
+SPILL = np.dtype([('sums', 'f8', INLINE), ('classes', 'u2', INLINE), ('next', 'u4'),
+                  ('pad', 'u4')])
+BLOCK = np.dtype([
+    ('index', 'i4', 3),
+    ('cells', 'u4', CELLS),         # voxel number + 1 of each cell, x slowest; 0: never seen
+    ('near', 'u4', 27),             # block number + 1 of the 27 blocks around, itself included
+    ('count', 'u4'), ('dirty', 'u1'), ('pad', 'u1', 3)])
+
+# What kernels are handed. Records rather than an array per field: numba counts a reference each
+# time an array is taken out of a tuple, which made adding an observation 30 times slower.
+Pools = namedtuple('Pools', [
+    'blocks', 'voxels', 'links', 'spills',      # records of the types above
+    'free', 'retired',                          # numbers of links: unused, unused soon
+    'used',                                     # how much of each pool is in use, see below
+    'starts', 'changes'])                       # class volatility's counters, (65536,) int64
+
+# Places in Pools.used
+BLOCKS, VOXELS, LINKS, SPILLS, FREE, RETIRED, OBSERVATIONS, STORED = range(8)
+
+
+class Store:
+    """
+    The pools of one map.
+
+    Attributes
+    ----------
+    arrays : Pools
+        They stay valid and in place for the store's life.
+    capacity : dict
+        Largest number of blocks, voxels, links and spills.
+
+    """
+
+    def __init__(self):
+        memory = os.sysconf('SC_PAGE_SIZE') * os.sysconf('SC_PHYS_PAGES')
+        self._pools = {'blocks': _reserve(BLOCK, memory // 2), 'voxels': _reserve(VOXEL, memory),
+                       'links': _reserve(LINK, memory), 'spills': _reserve(SPILL, memory // 2)}
+        self.capacity = {name: len(pool) for name, pool in self._pools.items()}
+        self.arrays = Pools(
+            *self._pools.values(), _reserve(np.dtype('u4'), memory // 16),
+            _reserve(np.dtype('u4'), memory // 16), np.zeros(8, np.int64),
+            np.zeros(65536, np.int64), np.zeros(65536, np.int64))
+
+    def check_room(self, voxels):
+        """Refuse to add up to *voxels* new voxels where the machine's memory would not do."""
+        used = self.arrays.used
+        for name, place in (('blocks', BLOCKS), ('voxels', VOXELS), ('links', LINKS),
+                            ('spills', SPILLS)):
+            if used[place] + voxels > self.capacity[name]:
+                raise PersemError(
+                    f'the map is full: {used[VOXELS]} voxels fill this machine\'s memory; choose '
+                    'a larger memory.voxel_size, a smaller memory.max_depth or max_history')
+
+    def nbytes(self):
+        """Return {pool: bytes in use}."""
+        used = self.arrays.used
+        free = used[FREE] + used[RETIRED]
+        return {'blocks': int(used[BLOCKS]) * BLOCK.itemsize,
+                'voxels': int(used[VOXELS]) * VOXEL.itemsize,
+                'histories': int(used[LINKS] - free) * LINK.itemsize,
+                'spilt evidence': int(used[SPILLS]) * SPILL.itemsize}
+
+
+def _reserve(dtype, nbytes):
+    """Return a zeroed array over *nbytes* of address space, fewer where the system limits it."""
+    count = min(nbytes // dtype.itemsize, 2 ** 32 - 2)
+    while True:
+        try:
+            space = mmap.mmap(-1, max(1, count) * dtype.itemsize,
+                              flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+            break
+        except OSError:             # strict overcommit, or ulimit -v
+            count //= 2
+            if count < 4096:
+                raise PersemError('no memory for a map: the limit on address space '
+                                  "(ulimit -v) is too small") from None
+    if hasattr(mmap, 'MADV_HUGEPAGE'):
+        space.madvise(mmap.MADV_HUGEPAGE)
+    return np.frombuffer(space, dtype)

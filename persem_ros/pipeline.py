@@ -1,0 +1,74 @@
+"""
+The story in one page: observe, add, refine, render.
+
+A pipeline is a map in the making. The node feeds it live, a replay feeds it a recording; both get
+the same map from the same frames.
+
+"""
+
+import numpy as np
+
+from persem_ros.core import images
+from persem_ros.core.memory import VoxelMemory
+from persem_ros.core.observe import observe
+from persem_ros.core.refine import refine
+from persem_ros.core.render import filled, render, voxel_image
+
+
+class Pipeline:
+    """
+    One map and how it is made.
+
+    Parameters
+    ----------
+    config : persem_ros.config.Config
+    memory : core.memory.VoxelMemory, optional
+        A map to go on with; its voxel size, origin and history bound hold.
+
+    """
+
+    def __init__(self, config, memory=None):
+        self.config = config
+        self.memory = memory or VoxelMemory(
+            config.memory.voxel_size, config.map.origin, config.memory.max_history)
+
+    def observe(self, frame):
+        """Return what a frame (persem_ros.frames.Frame) says about each voxel it sees."""
+        points, labels = images.points(frame, self.config.memory)
+        return observe(points, labels, frame.T_map_camera, self.memory.voxel_size,
+                       self.config.memory.min_pixels, self.memory.origin, frame.stamp,
+                       frame.sensor)
+
+    def add(self, frame):
+        """Integrate a frame; return its Observations."""
+        observations = self.observe(frame)
+        self.memory.add(observations)
+        return observations
+
+    def refine(self, full=True):
+        """Refine the map; return the number of voxels visited."""
+        return refine(self.memory, self.config.refine, full)
+
+    def render(self, frame, observations=None):
+        """
+        Return the refined label image of a frame, int32 on the labels' grid.
+
+        observations, where add() has just returned them, save placing the pixels again.
+
+        """
+        voxels = self.voxel_image(frame, observations)
+        image = render(voxels, np.ascontiguousarray(
+            self.memory.m.voxels['label'][:self.memory.n_voxels]))
+        return filled(image, frame.labels, self.config.memory, self.config.render.fill,
+                      self.unknown)
+
+    def voxel_image(self, frame, observations=None):
+        """Return the voxel number of each depth pixel, int32; -1: no depth or unknown."""
+        observations = observations or self.observe(frame)
+        return voxel_image(self.memory, observations, frame.depth.shape)
+
+    @property
+    def unknown(self):
+        """The ignored id that stands for "unknown" in an image."""
+        ignored = [c for c in self.config.memory.ignore_labels if c >= 0]
+        return ignored[0] if ignored else 65535
