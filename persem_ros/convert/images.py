@@ -1,0 +1,189 @@
+"""Label, depth and colour files as arrays, checked; resizing that keeps pixel centres."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from persem_ros.errors import PersemError
+
+UNITS = {'m': 1.0, 'cm': 100.0, 'mm': 1000.0}
+LABEL_ENCODINGS = {'u1': 'mono8', 'u2': 'mono16', 'i2': '16SC1', 'i4': '32SC1'}
+
+
+def read_array(path):
+    """
+    Return an image file or a .npy file as it is stored.
+
+    Raises
+    ------
+    PersemError
+        When it is missing, damaged or empty.
+
+    """
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise PersemError(f'{path}: cannot be read: {error.strerror}') from error
+    try:
+        if path.suffix == '.npy':
+            array = np.load(path, allow_pickle=False)
+        else:
+            array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except (cv2.error, ValueError, EOFError):
+        array = None
+    if array is None or array.size == 0:
+        raise PersemError(f'{path}: not an image that can be decoded ({len(data)} bytes)')
+    return np.squeeze(array, 2) if array.ndim == 3 and array.shape[2] == 1 else array
+
+
+def read_labels(path):
+    """
+    Return (ids, encoding) of a label file.
+
+    Returns
+    -------
+    ndarray, shape (H, W), uint8, uint16, int16 or int32
+        As stored; 64-bit ids of .npy files become int32.
+    str
+        The image encoding that carries them.
+
+    """
+    array = read_array(path)
+    if array.ndim != 2:
+        hint = '; a palette PNG decodes to colours, save its indices instead' \
+            if Path(path).suffix == '.png' else ''
+        raise PersemError(f'{path}: expected one channel of class ids, got shape {array.shape}'
+                          f'{hint}')
+    if array.dtype.kind in 'iu' and array.dtype.itemsize > 2 and array.dtype != np.int32:
+        if array.max() > 2**31 - 1 or array.min() < -2**31:
+            raise PersemError(f'{path}: ids do not fit into 32 bits')
+        array = array.astype(np.int32)
+    code = array.dtype.str[1:]
+    if code not in LABEL_ENCODINGS:
+        raise PersemError(f'{path}: expected integer class ids, got {array.dtype.name}')
+    return array, LABEL_ENCODINGS[code]
+
+
+def read_depth(path, per_metre=None, invalid=(0, 65535)):
+    """
+    Return (depth, encoding): 16UC1 in millimetres where the file is, else 32FC1 in metres.
+
+    Parameters
+    ----------
+    path : Path
+        16-bit PNG or TIFF, floating-point TIFF or .npy.
+    per_metre : float, optional
+        Stored units per metre. Without it integers are millimetres, floats metres.
+    invalid : sequence of int
+        Stored integers that mean "no measurement"; they become 0.
+
+    Returns
+    -------
+    ndarray, shape (H, W), uint16 or float32
+        0 (and in floats NaN) is no measurement.
+    str
+        16UC1 or 32FC1.
+
+    """
+    array = read_array(path)
+    kind, size = array.dtype.kind, array.dtype.itemsize
+    if array.ndim != 2 or kind not in 'iuf' or (kind != 'f' and size < 2):
+        raise PersemError(f'{path}: expected one channel of 16-bit or floating-point depth, got '
+                          f'{array.dtype.name} of shape {array.shape}')
+    if kind == 'f':
+        return (array / (per_metre or 1.0)).astype(np.float32), '32FC1'
+    bad = np.isin(array, invalid) | (array < 0)
+    if array.dtype == np.uint16 and per_metre in (None, 1000.0):
+        return np.where(bad, np.uint16(0), array), '16UC1'
+    return np.where(bad, 0, array / (per_metre or 1000.0)).astype(np.float32), '32FC1'
+
+
+def metres(depth, encoding):
+    """Return depth as float64 metres, 0 where there is no measurement."""
+    depth = depth / 1000.0 if encoding == '16UC1' else depth.astype(np.float64)
+    return np.where(np.isfinite(depth), depth, 0.0)
+
+
+def parse_unit(text):
+    """
+    Return stored units per metre: of m, cm, mm, or the number itself (5000 for TUM).
+
+    Raises
+    ------
+    PersemError
+        For anything else.
+
+    """
+    if text is None or text in UNITS:
+        return UNITS.get(text)
+    try:
+        value = float(text)
+    except ValueError:
+        value = float('nan')
+    if not 0 < value < float('inf'):
+        raise PersemError(f'depth unit {text!r}: expected m, cm, mm or the number of units that '
+                          'make a metre')
+    return value
+
+
+def read_color(path, size=None):
+    """Return (array, encoding) of a colour file: (H, W, 3) uint8, bgr8; *size* is (w, h)."""
+    array = read_array(path)
+    if array.dtype != np.uint8 or (array.ndim == 3 and array.shape[2] not in (3, 4)):
+        raise PersemError(f'{path}: expected an 8-bit colour image, got {array.dtype.name} of '
+                          f'shape {array.shape}')
+    if array.ndim == 2:
+        array = cv2.cvtColor(array, cv2.COLOR_GRAY2BGR)
+    array = array[..., :3]
+    if size is not None and (array.shape[1], array.shape[0]) != tuple(size):
+        array = cv2.resize(array, size, interpolation=cv2.INTER_AREA)
+    return array, 'bgr8'
+
+
+def nearest(array, size):
+    """
+    Resize without mixing values.
+
+    Parameters
+    ----------
+    array : ndarray, shape (H, W)
+        Any type.
+    size : tuple of int
+        New (width, height).
+
+    Returns
+    -------
+    ndarray, shape (height, width)
+        The pixel whose area holds the new pixel's centre.
+
+    """
+    width, height = size
+    if array.shape == (height, width):
+        return array
+    # In integers: floor((i + 0.5) * old / new).
+    rows = (2 * np.arange(height) + 1) * array.shape[0] // (2 * height)
+    columns = (2 * np.arange(width) + 1) * array.shape[1] // (2 * width)
+    return array[rows[:, None], columns]
+
+
+def scaled_K(K, old, new):
+    """
+    Return the pinhole matrix (3, 3) for an image resized from *old* to *new* (width, height).
+
+    Pixel centres are at integers: f' = s f, c' = s (c + 0.5) - 0.5.
+
+    """
+    K = np.array(K, float)
+    for axis in (0, 1):
+        scale = new[axis] / old[axis]
+        K[axis, 2] = scale * (K[axis, 2] + 0.5) - 0.5
+        K[axis, :2] *= scale
+    return K
+
+
+def same_aspect(a, b):
+    """Whether two sizes (width, height) have one aspect ratio, to a pixel of rounding."""
+    scale = max(b[0] / a[0], b[1] / a[1])
+    return abs(a[0] * scale - b[0]) <= 1 + scale and abs(a[1] * scale - b[1]) <= 1 + scale

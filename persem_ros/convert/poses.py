@@ -1,0 +1,186 @@
+"""Pose files: one matrix a file (7-Scenes, ScanNet), or a trajectory (TUM, KITTI)."""
+
+import logging
+from bisect import bisect_left
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from persem_ros.convert.files import canonical, numbers_of, read_lines
+from persem_ros.convert.stamps import number_of_name, seconds_to_ns
+from persem_ros.core.geometry import matrix_to_quaternion, slerp, transform
+from persem_ros.errors import PersemError
+
+LOG = logging.getLogger(__name__)
+ROTATION_TOLERANCE = 1e-2       # largest entry of |R R^T - I| that is put down to rounding
+EXPECTED = ('expected 16 or 12 numbers (a 4x4 or 3x4 matrix) or 7 numbers '
+            '(x y z qx qy qz qw)')
+
+
+@dataclass
+class Poses:
+    """
+    The poses of a data set, as its files have them.
+
+    Attributes
+    ----------
+    by_key : dict of str to ndarray, shape (4, 4)
+        Poses that belong to one frame.
+    stamps : list of int
+        Stamps of a trajectory, ascending nanoseconds.
+    matrices : list of ndarray, shape (4, 4)
+        The trajectory's poses.
+    lost : list of str
+        Frames whose pose is NaN or infinite: the tracker's way to say "lost".
+
+    """
+
+    by_key: dict = field(default_factory=dict)
+    stamps: list = field(default_factory=list)
+    matrices: list = field(default_factory=list)
+    lost: list = field(default_factory=list)
+
+    def at(self, key, stamp):
+        """Return the pose of a frame, interpolated in a trajectory; None where there is none."""
+        if not self.stamps:
+            return self.by_key.get(key)
+        i = bisect_left(self.stamps, stamp)
+        if i < len(self.stamps) and self.stamps[i] == stamp:
+            return self.matrices[i]
+        if i == 0 or i == len(self.stamps):
+            return None
+        a, b = self.matrices[i - 1:i + 1]
+        f = (stamp - self.stamps[i - 1]) / (self.stamps[i] - self.stamps[i - 1])
+        q = slerp(matrix_to_quaternion(a[:3, :3]), matrix_to_quaternion(b[:3, :3]), f)
+        return transform((1 - f) * a[:3, 3] + f * b[:3, 3], q)
+
+
+def rigid(matrix, where, tolerance=ROTATION_TOLERANCE):
+    """
+    Return a 4x4 matrix with the nearest rotation in it.
+
+    Raises
+    ------
+    PersemError
+        When it is farther from a rotation than *tolerance* (largest entry of |R R^T - I|), a
+        mirror image, or its last row is not 0 0 0 1.
+
+    """
+    T = np.eye(4)
+    matrix = np.asarray(matrix, float)
+    T[:matrix.shape[0]] = matrix
+    R = T[:3, :3]
+    error = np.abs(R @ R.T - np.eye(3)).max()
+    if not np.allclose(T[3], [0, 0, 0, 1], atol=1e-6):
+        raise PersemError(f'{where}: expected 0 0 0 1 as the last row of the pose, got '
+                          f'{" ".join(f"{v:g}" for v in T[3])}; is it transposed?')
+    if not error <= tolerance or np.linalg.det(R) < 0:
+        what = 'mirrors' if error <= tolerance else f'is off by {error:.3g}'
+        raise PersemError(f'{where}: expected a rotation in the pose, but the matrix {what}')
+    U, _, Vt = np.linalg.svd(R)
+    T[:3, :3] = U @ Vt
+    return T
+
+
+def pose_of_numbers(values, where):
+    """
+    Return the 4x4 matrix of 16, 12 or 7 numbers, None where one is not finite.
+
+    Raises
+    ------
+    PersemError
+        For another count, a quaternion that is not of norm 1, or no rotation.
+
+    """
+    if len(values) not in (7, 12, 16):
+        raise PersemError(f'{where}: {EXPECTED}, got {len(values)}')
+    if not np.isfinite(values).all():
+        return None
+    if len(values) != 7:
+        return rigid(values.reshape(-1, 4), where)
+    norm = np.linalg.norm(values[3:])
+    if abs(norm - 1) > 1e-2:
+        raise PersemError(f'{where}: expected a quaternion of norm 1, got {norm:.3g}; the order '
+                          'is x y z qx qy qz qw')
+    return transform(values[:3], values[3:] / norm)
+
+
+def poses_from_files(files):
+    """Return the Poses of {key: path}, one pose a file."""
+    poses = Poses()
+    for key, path in files.items():
+        words = [word for _, line in read_lines(path) for word in line]
+        T = pose_of_numbers(numbers_of(words, path), path)
+        if T is None:
+            poses.lost.append(key)
+        else:
+            poses.by_key[key] = T
+    return poses
+
+
+def poses_from_trajectory(path, keys, stamped):
+    """
+    Return the Poses of a file with one pose a line.
+
+    Parameters
+    ----------
+    path : Path
+        Lines of "stamp x y z qx qy qz qw" (TUM), "number x y z qx qy qz qw", or 12, 16 or 7
+        numbers in the order of the frames (KITTI).
+    keys : list of str
+        The frames, in order.
+    stamped : bool
+        Whether the frames have stamps of their own that a trajectory's can be compared with.
+
+    """
+    rows = read_lines(path)
+    if len({len(words) for _, words in rows}) > 1:
+        raise PersemError(f'{path}: lines of different length; expected the same numbers in each')
+    tagged = len(rows[0][1]) in (8, 13, 17)
+    tags = [words[0] for _, words in rows] if tagged else None
+    matrices = [pose_of_numbers(numbers_of(words[tagged:], f'{path}, line {number}'),
+                                f'{path}, line {number}') for number, words in rows]
+    if tagged and (stamped or not all(tag.isdecimal() for tag in tags)):
+        return _stamped(path, tags, matrices)
+    known = {canonical(key): key for key in keys}
+    if tags is None:
+        tags = _tags_of_lines(path, len(rows), keys)
+    poses = Poses()
+    for tag, T in zip(tags, matrices, strict=True):
+        key = known.get(canonical(tag))
+        if key is None:
+            continue
+        if T is None:
+            poses.lost.append(key)
+        else:
+            poses.by_key[key] = T
+    return poses
+
+
+def _stamped(path, tags, matrices):
+    """Return the Poses of a trajectory with stamps; the first of two equal stamps counts."""
+    poses = Poses()
+    order = {}
+    for tag, T in zip(tags, matrices, strict=True):
+        stamp = seconds_to_ns(tag, str(path))
+        if T is None:
+            poses.lost.append(tag)
+        else:
+            order.setdefault(stamp, T)
+    poses.stamps = sorted(order)
+    poses.matrices = [order[stamp] for stamp in poses.stamps]
+    repeated = len(matrices) - len(order) - len(poses.lost)
+    if repeated:
+        LOG.warning('%s: %d poses repeat a stamp; the first of each counts', path, repeated)
+    return poses
+
+
+def _tags_of_lines(path, count, keys):
+    """Return the frame that each line of a file without stamps belongs to."""
+    if count == len(keys):
+        return keys
+    numbers = [number_of_name(key) for key in keys]
+    if all(key.isdecimal() for key in keys) and max(numbers) < count:
+        return [str(i) for i in range(count)]
+    raise PersemError(f'{path}: {count} poses for {len(keys)} frames; expected one a line and '
+                      'frame, or stamps in front (TUM format)')

@@ -1,0 +1,115 @@
+"""What every converter writes: frames and poses, on the topics that a replay reads."""
+
+import logging
+from collections import Counter
+
+from persem_ros.config import Topics
+from persem_ros.errors import PersemError
+
+LOG = logging.getLogger(__name__)
+MAP, CAMERA = 'map', 'camera'
+
+
+class SceneWriter:
+    """
+    Writes a data set's frames to a RecordingWriter, on the default topics.
+
+    Parameters
+    ----------
+    out : RecordingWriter
+        The open recording.
+    legend : Legend, optional
+        Goes to /semantic/legend, latched.
+
+    Attributes
+    ----------
+    counts : Counter
+        Messages written, by what they are: labels, depth, poses, ….
+
+    """
+
+    def __init__(self, out, legend=None):
+        self.counts = Counter()
+        self._out, self._topics = out, Topics()
+        self._stamps = []
+        if legend is not None:
+            out.text('semantic/legend', legend.to_yaml(), latched=True)
+
+    def labels(self, stamp, array, encoding):
+        """Write a label image."""
+        self._image('labels', self._topics.labels, stamp, array, encoding)
+
+    def truth(self, stamp, array, encoding):
+        """Write an image of true ids."""
+        self._image('truth', self._topics.truth, stamp, array, encoding)
+
+    def color(self, stamp, array, encoding):
+        """Write a colour image."""
+        self._image('color', self._topics.color, stamp, array, encoding)
+
+    def depth(self, stamp, array, encoding, K, D=(), model='plumb_bob'):
+        """Write a depth image and the camera info of its size."""
+        height, width = array.shape
+        self._out.camera_info(self._topics.camera_info, stamp, CAMERA, width, height, K, D, model)
+        self._image('depth', self._topics.depth, stamp, array, encoding)
+
+    def pose(self, stamp, T):
+        """Write T_map_camera as a PoseStamped and to /tf."""
+        self._out.pose(self._topics.pose, stamp, MAP, T)
+        self._out.tf(stamp, MAP, CAMERA, T)
+        self.counts['poses'] += 1
+
+    def _image(self, what, topic, stamp, array, encoding):
+        self._out.image(topic, stamp, CAMERA, array, encoding)
+        self.counts[what] += 1
+        self._stamps.append(stamp)
+
+    def summary(self):
+        """Return one line: what was written, and the time that it covers."""
+        counts = ', '.join(f'{n} {what}' for what, n in self.counts.items())
+        seconds = (max(self._stamps) - min(self._stamps)) / 1e9
+        return f'{counts}; {seconds:.3f} s from stamp {min(self._stamps) / 1e9:.3f}'
+
+
+def report_dropped(dropped):
+    """
+    Warn about frames that were left out.
+
+    Parameters
+    ----------
+    dropped : dict of str to list of str
+        The reason, and the frames.
+
+    """
+    for reason, names in dropped.items():
+        if names:
+            LOG.warning('%d frames left out: %s (%s%s)', len(names), reason, ', '.join(names[:5]),
+                        ', …' if len(names) > 5 else '')
+
+
+def chosen(items, frames=None, every=1):
+    """
+    Return the part of a list that --frames A:B and --every N mean.
+
+    Raises
+    ------
+    PersemError
+        When the text is not A:B, or nothing is left.
+
+    """
+    begin, end = None, None
+    if frames:
+        words = frames.split(':')
+        try:
+            if len(words) != 2:
+                raise ValueError
+            begin, end = (int(word) if word.strip() else None for word in words)
+        except ValueError:
+            raise PersemError(f'--frames {frames}: expected A:B, first frame and the one after '
+                              'the last, for example 100:200') from None
+    if every < 1:
+        raise PersemError(f'--every {every}: expected 1 or more')
+    left = items[begin:end:every]
+    if not left:
+        raise PersemError(f'--frames {frames}: no frame is left of {len(items)}')
+    return left

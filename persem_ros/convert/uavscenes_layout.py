@@ -1,0 +1,158 @@
+"""Where UAVScenes keeps a run's files, in all the forms that unpacking gives them."""
+
+import json
+import re
+from dataclasses import dataclass, field
+from glob import escape
+from pathlib import Path
+
+import numpy as np
+
+from persem_ros.convert.files import files_of, read_text
+from persem_ros.convert.poses import rigid
+from persem_ros.convert.stamps import stamp_of_name
+from persem_ros.errors import PersemError
+
+INFOS = 'sampleinfos_interpolated.json'
+WRAPPERS = ('', '*/', '*/*/')       # run folders under ROOT, in archives' folders, in doubled ones
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One entry of the samples' file: an image of the full rate."""
+
+    stamp: int
+    T_map_camera: np.ndarray
+    K: np.ndarray
+    D: np.ndarray
+    size: tuple
+
+
+@dataclass
+class Run:
+    """
+    The files of one run; every mapping goes from an image's stamp as text to a path.
+
+    Attributes
+    ----------
+    name : str
+        Without the interval, for example AMtown01.
+    interval : int
+        1 or 5.
+    truth, color : dict of str to Path
+        Label images of true ids and camera images; empty where not unpacked.
+    lidar : Path or None
+        The folder of the scans.
+    samples : dict of str to Sample
+        Poses and intrinsics.
+    lost : list of str
+        Images whose pose is not finite.
+
+    """
+
+    name: str
+    interval: int
+    truth: dict = field(default_factory=dict)
+    color: dict = field(default_factory=dict)
+    lidar: Path = None
+    samples: dict = field(default_factory=dict)
+    lost: list = field(default_factory=list)
+
+
+def find_run(root, name, interval=None):
+    """
+    Return the Run called *name* below *root*.
+
+    Parameters
+    ----------
+    root : Path
+        The folder with the unpacked archives, single or doubled, or with the run folders.
+    name : str
+        AMtown01, or with its interval interval5_AMtown01.
+    interval : int, optional
+        1 or 5; without it the one that is there, 5 where both are.
+
+    Raises
+    ------
+    PersemError
+        When there is no such folder or run (the runs that are there are named), or its poses
+        are missing or broken.
+
+    """
+    root = Path(root)
+    if not root.is_dir():
+        raise PersemError(f'{root}: no such folder')
+    match = re.fullmatch(r'(?:interval([15])_)?(.+)', name)
+    name = match[2]
+    wanted = interval or (int(match[1]) if match[1] else None)
+    for n in (wanted,) if wanted else (5, 1):
+        infos = _below(root, n, name, INFOS)
+        if infos:
+            break
+    else:
+        raise PersemError(f'{root}: no {INFOS} of the run {name!r}'
+                          f'{f" at interval {wanted}" if wanted else ""}; runs there: '
+                          f'{", ".join(_runs(root)) or "none"}')
+    run = Run(name, n, lidar=_below(root, n, name, f'interval{n}_LIDAR'))
+    run.truth = images(_below(root, n, name, f'interval{n}_CAM_label_id'))
+    run.color = images(_below(root, n, name, f'interval{n}_CAM'))
+    _read_samples(infos, run)
+    return run
+
+
+def images(folder):
+    """Return {stamp as text: path} of the files in a folder that are named after stamps."""
+    found = files_of(folder, '*') if folder else {}
+    return {key: path for key, path in found.items() if stamp_of_name(key) is not None}
+
+
+def find_calibration(root):
+    """Return the path of calibration_results.py at or below *root*, or None."""
+    for wrapper in WRAPPERS:
+        for path in sorted(Path(root).glob(f'{wrapper}calibration_results.py')):
+            return path
+    return None
+
+
+def _below(root, n, name, leaf):
+    """Return the shallowest ROOT/…/interval<n>_<name>/<leaf>, or None."""
+    for wrapper in WRAPPERS:
+        for path in sorted(root.glob(f'{wrapper}interval{n}_{escape(name)}/{leaf}')):
+            return path
+    return None
+
+
+def _runs(root):
+    """Return the names of the runs with poses below *root*."""
+    return sorted({path.parent.name for wrapper in WRAPPERS
+                   for path in root.glob(f'{wrapper}interval[15]_*/{INFOS}')})
+
+
+def _read_samples(path, run):
+    """Fill the samples of a run from the file of poses and intrinsics."""
+    try:
+        entries = json.loads(read_text(path))
+    except (ValueError, RecursionError) as error:
+        raise PersemError(f'{path}: not JSON: {error}') from None
+    if not isinstance(entries, list) or not entries:
+        raise PersemError(f'{path}: expected a list with one object per image')
+    for i, entry in enumerate(entries):
+        try:
+            key = Path(entry['OriginalImageName']).stem
+            T = np.array(entry['T4x4'], float).reshape(4, 4)
+            K = np.array(entry['P3x3'], float).reshape(3, 3)
+            D = np.array([entry.get(name, 0.0) for name in ('K1', 'K2', 'P1', 'P2', 'K3')], float)
+            size = int(entry['Width']), int(entry['Height'])
+        except (KeyError, TypeError, ValueError, AttributeError):
+            raise PersemError(f'{path}: entry {i}: expected OriginalImageName, Width, Height, '
+                              'P3x3 and T4x4') from None
+        stamp = stamp_of_name(key)
+        if stamp is None:
+            raise PersemError(f'{path}: entry {i}: expected an image named after its stamp, got '
+                              f'{key[:60]!r}')
+        if not np.isfinite(T).all():
+            run.lost.append(key)
+            continue
+        if not (np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0 and min(size) > 0):
+            raise PersemError(f'{path}: {key}: expected positive focal lengths in P3x3')
+        run.samples[key] = Sample(stamp, rigid(T, f'{path}: {key}'), K, D, size)
