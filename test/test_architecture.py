@@ -29,7 +29,7 @@ MAY_IMPORT = {
     'outputs': NOUNS | {'core'},
     'replay': LIBRARIES,
     'convert': NOUNS | {'core.geometry', 'inputs', 'outputs'},
-    'simulate': NOUNS | {'core.geometry', 'outputs'},
+    'simulate': NOUNS | {'core.geometry', 'inputs', 'outputs'},
     'evaluate': LIBRARIES | {'replay'},
     'commands': LIBRARIES | {'replay', 'convert', 'simulate', 'evaluate'},
     'cli': {'__init__', 'config', 'errors', 'commands'},
