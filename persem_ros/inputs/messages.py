@@ -7,7 +7,6 @@ np.frombuffer, which takes both.
 """
 
 import math
-import sys
 
 import numpy as np
 
@@ -22,7 +21,6 @@ COLOR = {'rgb8': (3, [0, 1, 2]), 'bgr8': (3, [2, 1, 0]), '8UC3': (3, [2, 1, 0]),
          'rgba8': (4, [0, 1, 2]), 'bgra8': (4, [2, 1, 0]), '8UC4': (4, [2, 1, 0]),
          'mono8': (1, [0, 0, 0]), '8UC1': (1, [0, 0, 0])}
 NORM_TOLERANCE = 1e-2       # a quaternion farther from length 1 is no rotation
-NATIVE_BIG = sys.byteorder == 'big'
 
 
 class BadMessage(PersemError):
@@ -50,6 +48,24 @@ def stamp_ns(msg):
 def frame_id(msg):
     """Return the header's frame without the leading slash that ROS 1 wrote."""
     return msg.header.frame_id.lstrip('/')
+
+
+def header(data):
+    """
+    Return (stamp in ns, frame_id) of a serialized message that begins with a std_msgs/Header.
+
+    Reading the header alone costs microseconds, where decoding a whole image costs a copy.
+
+    """
+    order = 'little' if data[1:2] == b'\x01' else 'big'
+    seconds = int.from_bytes(data[4:8], order, signed=True)
+    nanoseconds = int.from_bytes(data[8:12], order)
+    length = int.from_bytes(data[12:16], order)
+    name = bytes(data[16:16 + length])
+    if len(data) < 16 or len(name) < length:
+        raise BadMessage('damaged message', 'a message ends inside of its header')
+    name = name.rstrip(b'\0').decode(errors='replace').lstrip('/')
+    return seconds * 1_000_000_000 + nanoseconds, name
 
 
 def labels(msg):
@@ -157,6 +173,27 @@ def pose(msg):
         raise BadMessage('position not finite', f'a pose has the position {xyz}')
     child = getattr(msg, 'child_frame_id', '').lstrip('/')
     return stamp_ns(msg), transform(xyz, q), frame_id(msg), child
+
+
+def transforms(msg):
+    """
+    Read a tf2_msgs/TFMessage.
+
+    Returns
+    -------
+    list of tuple
+        What `pose` gives for each transform that can be used.
+    list of BadMessage
+        What was wrong with the others.
+
+    """
+    good, faults = [], []
+    for item in msg.transforms:
+        try:
+            good.append(pose(item))
+        except BadMessage as fault:
+            faults.append(fault)
+    return good, faults
 
 
 def unit_quaternion(q):

@@ -1,5 +1,6 @@
 """One reading of a recording: messages in, frames out, in the order of header stamps."""
 
+from functools import partial
 import heapq
 import sys
 from typing import NamedTuple
@@ -17,7 +18,6 @@ WINDOW_BYTES = 64 << 20
 QUEUE_BYTES = 128 << 20
 POSE_WAIT = 30.0        # s; a recording loses nothing by waiting, but memory is bounded
 POSES_KEPT = 300.0      # s
-HEADER_NS = 1_000_000_000
 
 
 class Raw(NamedTuple):
@@ -29,13 +29,25 @@ class Raw(NamedTuple):
 
 
 class Station:
-    """One camera on the way in: its queues, its infos, its name."""
+    """
+    One camera on the way in.
 
-    def __init__(self, name, synchronizer, assembler):
+    Parameters
+    ----------
+    synchronizer : Synchronizer
+        Its images.
+    assembler : Assembler
+        Its camera infos.
+    poses : PoseBuffer
+        Its poses, which it may share with other cameras.
+
+    """
+
+    def __init__(self, synchronizer, assembler, poses):
         """Keep them together."""
-        self.name = name
         self.sync = synchronizer
         self.assembler = assembler
+        self.poses = poses
 
 
 class Reading:
@@ -57,63 +69,74 @@ class Reading:
         self._recording = recording
         self._source = recording.source
         self._dropped = recording.dropped
-        self._poses = PoseBuffer(config, POSES_KEPT)
-        for transform in recording.statics:
-            self._poses.add_static(*transform)
-        self._roles = {}        # topic -> [(kind, station)]
+        self._roles = {}        # topic -> [(kind, station or pose buffer)]
+        self._buffers = {}      # pose topic -> PoseBuffer
         self._stations = []
         self._ready = []        # matches of all cameras, a heap
         self._window = Window(round(config.sync.max_wait * 1e9), WINDOW_BYTES)
         companions = [kind for kind, wanted in ((TRUTH, truth), (COLOR, color)) if wanted]
         for name, chosen in recording.topics.items():
-            self._add_station(name, chosen, companions, config)
-        if config.pose.source == 'tf':
-            for topic in recording.choice.tf:
-                self._roles[topic.name] = [(TF, None)]
+            self._add_station(name, chosen, [k for k in companions if k in chosen])
 
     def frames(self):
         """Yield the frames; the recording's counters follow."""
         now = 0
         for topic, kind, time, data in self._source.messages(set(self._roles)):
             now = max(now, time)
-            for role, station in self._roles[topic]:
+            for role, taker in self._roles[topic]:
                 try:
-                    self._take(role, station, kind, now, data)
+                    self._take(role, taker, kind, now, data)
                 except BadMessage as fault:
                     self._drop(role, fault)
             yield from self._leaving(now)
         self._push(self._window.flush(), now)
         yield from self._leaving(now, True)
-        self._recording.note_poses(self._poses)
+        for buffer in self._buffers.values():
+            for key, text in buffer.notes.items():
+                self._recording.note(key, text)
 
-    def _add_station(self, name, chosen, companions, config):
-        companions = [kind for kind in companions if kind in chosen]
-        sync = Synchronizer(config.sync, self._lookup, companions, True, POSE_WAIT, QUEUE_BYTES,
-                            self._dropped)
-        station = Station(name, sync, Assembler(config.camera.rectified, name))
+    def _add_station(self, name, chosen, companions):
+        config = self._recording.config
+        poses = self._pose_buffer(chosen)
+        sync = Synchronizer(config.sync, partial(self._lookup, poses), companions, True,
+                            POSE_WAIT, QUEUE_BYTES, self._dropped)
+        station = Station(sync, Assembler(config.camera.rectified, name), poses)
         station.assembler.add_info(self._recording.infos[chosen[INFO].name])
         self._stations.append(station)
         for kind in (LABELS, DEPTH, *companions, INFO):
             self._roles.setdefault(chosen[kind].name, []).append((kind, station))
-        if POSE in chosen:
-            self._roles[chosen[POSE].name] = [(POSE, None)]     # once for all cameras
 
-    def _take(self, role, station, kind, now, data):
+    def _pose_buffer(self, chosen):
+        """Return the buffer of a camera's poses; cameras with one pose topic share it."""
+        name = chosen[POSE].name if POSE in chosen else TF
+        if name not in self._buffers:
+            buffer = self._buffers[name] = PoseBuffer(self._recording.config, POSES_KEPT)
+            for transform in self._recording.statics:
+                buffer.add_static(*transform)
+            topics = [chosen[POSE]] if POSE in chosen else self._recording.choice.tf
+            for topic in topics:
+                self._roles[topic.name] = [(POSE if POSE in chosen else TF, buffer)]
+        return self._buffers[name]
+
+    def _take(self, role, taker, kind, now, data):
         """Take one message: images wait in the window, the rest is known at once."""
         if role in ORDER:
-            stamp, frame_id = header(data)
-            item = (role, station, stamp, Raw(kind, data, frame_id))
+            stamp, frame_id = messages.header(data)
+            item = (role, taker, stamp, Raw(kind, data, frame_id))
             self._push(self._window.push(stamp, ORDER[role], now, len(data), item), now)
             return
         msg = self._source.decode(data, kind)
         if role == INFO:
-            station.assembler.add_info(msg)
+            taker.assembler.add_info(msg)
         elif role == POSE:
-            if not self._poses.add(*messages.pose(msg)):
+            if not taker.add(*messages.pose(msg)):
                 self._dropped['pose: stamp repeated'] += 1
         else:
-            for item in msg.transforms:
-                self._poses.add_tf(*messages.pose(item))
+            good, faults = messages.transforms(msg)
+            for found in good:
+                taker.add_tf(*found)
+            for fault in faults:
+                self._drop(role, fault)
 
     def _push(self, items, now):
         for role, station, stamp, raw in items:
@@ -126,8 +149,9 @@ class Reading:
                 heapq.heappush(self._ready, (match.stamp, number, match))
         while self._ready and (last or self._ready[0][0] < self._bound()):
             stamp, number, match = heapq.heappop(self._ready)
-            frame = self._frame(self._stations[number], match)
-            self._poses.forget(stamp)
+            station = self._stations[number]
+            frame = self._frame(station, match)
+            station.poses.forget(min(stamp, self._bound()))
             if frame is not None:
                 yield frame
 
@@ -138,13 +162,13 @@ class Reading:
         pending = [s.sync.first_pending for s in self._stations]
         return min([self._window.front, *(stamp for stamp in pending if stamp is not None)])
 
-    def _lookup(self, match):
+    def _lookup(self, poses, match):
         """Return the pose of a match; refuse poses that never lead to the camera."""
         depth, labels = match.items[DEPTH], match.items[LABELS]
         frame_id = depth.frame_id or labels.frame_id
-        found = self._poses.lookup(match.stamp, frame_id)
+        found = poses.lookup(match.stamp, frame_id)
         if found.reason == NO_MOUNT:
-            raise PersemError(f'{self._recording.path}: {self._poses.mount_sentence(frame_id)}')
+            raise PersemError(f'{self._recording.path}: {poses.mount_sentence(frame_id)}')
         return found
 
     def _frame(self, station, match):
@@ -207,20 +231,3 @@ class Window:
         self._bytes -= size
         self.front = stamp
         return item
-
-
-def header(data):
-    """
-    Return (stamp in ns, frame_id) of a serialized message that begins with a std_msgs/Header.
-
-    Reading the header alone costs microseconds, where decoding a whole image costs a copy.
-
-    """
-    order = 'little' if data[1:2] == b'\x01' else 'big'
-    seconds = int.from_bytes(data[4:8], order, signed=True)
-    nanoseconds = int.from_bytes(data[8:12], order)
-    length = int.from_bytes(data[12:16], order)
-    text = bytes(data[16:16 + length])
-    if len(data) < 16 or len(text) < length:
-        raise BadMessage('damaged message', 'an image message ends inside of its header')
-    return seconds * HEADER_NS + nanoseconds, text.rstrip(b'\0').decode(errors='replace').lstrip('/')

@@ -1,6 +1,7 @@
 """A recording as a stream of frames: what a replay reads."""
 
 from collections import Counter
+from itertools import islice
 
 from persem_ros.errors import PersemError
 from persem_ros.inputs import messages
@@ -115,9 +116,9 @@ class Recording:
         if not used:
             raise PersemError(self._nothing())
 
-    def note_poses(self, poses):
-        """Keep what a pose buffer has to say to the user."""
-        self._notes.update(poses.notes)
+    def note(self, key, text):
+        """Keep a sentence for the user, one for each *key*."""
+        self._notes[key] = text
 
     def _nothing(self):
         """Return the sentence that says why no frame could be made."""
@@ -131,24 +132,25 @@ class Recording:
 
     def _read_statics(self):
         """Return the (T, parent, child) of /tf_static; keep the legend met on the way."""
-        names = {t.name: t.count for t in self.choice.tf_static}
-        legends = {t.name for t in self.choice.legends}
-        left = sum(names.values()) + sum(t.count for t in self.choice.legends)
+        topics = self.choice.tf_static + self.choice.legends
+        legends = {topic.name for topic in self.choice.legends}
+        # Counted, so that the search ends with the last of them, not with the recording.
+        wanted = islice(self.source.messages({topic.name for topic in topics}),
+                        sum(topic.count for topic in topics))
         statics = []
-        if not left:
-            return statics
-        for name, kind, _, data in self.source.messages({*names, *legends}):
-            left -= 1
+        for name, kind, _, data in wanted:
             try:
                 msg = self.source.decode(data, kind)
-                if name in legends:
-                    self.legend_text = msg.data
-                else:
-                    statics += static_transforms(msg)
             except BadMessage as fault:
-                self._notes['static'] = f'a static transform was not used: {fault}'
-            if not left:
-                break
+                self._notes[name] = f'{name}: a message was not used: {fault}'
+                continue
+            if name in legends:
+                self.legend_text = msg.data
+                continue
+            good, faults = messages.transforms(msg)
+            statics += [found[1:] for found in good]
+            for fault in faults:
+                self._notes[name] = f'{name}: a transform was not used: {fault}'
         return statics
 
     def _read_infos(self):
@@ -165,10 +167,7 @@ class Recording:
                 raise PersemError(f'{name}: {fault}') from None
             infos[name] = msg
             if len(infos) == len(names):
-                break
-        return infos
+                return infos
+        missing = ' and '.join(sorted(names - set(infos)))
+        raise PersemError(f'{self.path}: {missing} has no camera info that can be read')
 
-
-def static_transforms(msg):
-    """Return the (T, parent, child) of a TFMessage."""
-    return [messages.pose(item)[1:] for item in msg.transforms]

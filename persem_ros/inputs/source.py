@@ -85,6 +85,12 @@ class Source:
                 reader.close()
         self._readers = []
 
+    @property
+    def size(self):
+        """Bytes on disk."""
+        files = [self.path] if self.path.is_file() else self._files()
+        return sum(file.stat().st_size for file in files)
+
     def messages(self, names):
         """
         Read messages in the order of the recording.
@@ -150,7 +156,7 @@ class Source:
         # As in messages(): whatever a damaged file makes the parsers raise.
         except Exception as error:
             return self._salvaged(error)
-        self.storage = _storage(path if path.is_file() else self._files()[0])
+        self.storage = _storage(self._files())
         if reader.compression_mode:
             self.storage += f', {reader.compression_mode} compression {reader.compression_format}'
         return [reader]
@@ -171,7 +177,7 @@ class Source:
         if self.path.is_dir() and not (self.path / 'metadata.yaml').exists():
             self._note(f'{self.path.name} has no metadata.yaml (the recorder was interrupted?): '
                        'its files were read without')
-        self.storage = _storage(self._files()[0])
+        self.storage = _storage(self._files())
         return readers
 
     def _files(self):
@@ -192,8 +198,8 @@ class Source:
             self.notes.append(text)
 
 
-def _storage(file):
-    return 'mcap' if '.mcap' in file.name else 'sqlite3'
+def _storage(files):
+    return 'mcap' if any('.mcap' in file.name for file in files) else 'sqlite3'
 
 
 def _line(error):

@@ -269,9 +269,15 @@ class Synchronizer:
         heads = [(queue[0].arrival, kind) for kind, queue in self._queues.items() if queue]
         first = min(heads, default=(float('inf'), ''))
         if self._matches and self._matches[0].arrival <= first[0]:
-            self._drop_head(QUEUE_FULL)
+            self._drop_head(self._why_full(self._matches[0]))
         else:
             self._drop_partner(first[1], QUEUE_FULL)
+
+    def _why_full(self, match):
+        """Return what the earliest label image waits for, if that is why the queue is full."""
+        if DEPTH in match.open or self._lookup is None:
+            return QUEUE_FULL
+        return self._lookup(match).reason or QUEUE_FULL
 
 
 def _stamp(item):

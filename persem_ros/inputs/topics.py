@@ -124,9 +124,11 @@ class Choice:
         for tail in tails:
             exact = [t for t in self._topics if t.name.strip('/') == tail]
             fitting = [t for t in exact if t.type in types]
-            if fitting:
+            if fitting and fitting[0].count:
                 return fitting[0]
-            if exact:
+            if fitting:
+                raise LookupError(', which has no messages')
+            if exact:       # the name is taken by something else
                 raise LookupError(f', which is of type {exact[0].type}')
         if wanted.startswith('/'):
             raise LookupError()

@@ -1,0 +1,37 @@
+"""persem info: what is in a recording and what a replay would use of it."""
+
+
+def add_parser(subparsers):
+    """Add the sub-command and its options."""
+    from persem_ros import config_file
+    parser = subparsers.add_parser(
+        'info', help='show what is in a recording and what a replay would use',
+        description='Lists topics, types, counts, rates, encodings, sizes, frames and stamps of '
+                    'a rosbag2 recording, which of them a replay would use, and what is missing, '
+                    'as flags to paste. The exit status is 1 when something needed is missing.')
+    parser.add_argument('bag', metavar='BAG', help='rosbag2 folder, .mcap or .db3 file')
+    config_file.add_arguments(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args):
+    """Print the report; return 0 where a replay can use the recording, else 1."""
+    import sys
+
+    from tqdm import tqdm
+
+    from persem_ros import config_file
+    from persem_ros.inputs import info
+    from persem_ros.inputs.source import Source
+    from persem_ros.inputs.topics import Choice
+
+    config = config_file.from_args(args.config, args.set_items)
+    with Source(args.bag) as source:
+        total = sum(topic.count for topic in source.topics)
+        rows = info.survey(source, lambda it: tqdm(
+            it, total=total, unit=' messages', leave=False, dynamic_ncols=True,
+            disable=not sys.stderr.isatty()))
+        choice = Choice(source, config)
+        lacking = info.problems(source, choice, config)
+        print(info.text(source, rows, choice, lacking), end='')
+    return 1 if lacking else 0
