@@ -143,7 +143,7 @@ def _number(data, at, end):
     while at < end and shift <= 30:
         word, inside = at >> 3, at & 7
         byte = data[word * 4 + 3 - (inside >> 1)]
-        nibble = byte >> 4 if inside & 1 == 0 else byte & 15
+        nibble = np.int64(byte >> 4 if inside & 1 == 0 else byte & 15)
         at += 1
         value |= (nibble & 7) << shift
         if nibble & 8 == 0:
