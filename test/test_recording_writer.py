@@ -1,19 +1,18 @@
 """Recordings: whole or absent, readable by rosbags, right in every field."""
 
 import errno
+from pathlib import Path
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
-import pytest
-import yaml
-from rosbags.highlevel import AnyReader
-from rosbags.interfaces import QosDurability, QosReliability
-
 from persem_ros.errors import PersemError
 from persem_ros.outputs.recording import RecordingWriter
+import pytest
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import QosDurability, QosReliability
+import yaml
 
 STAMP = 1_658_137_057_641_204_937
 T = np.array([[0.0, -1, 0, 1.5], [1, 0, 0, -2], [0, 0, 1, 3], [0, 0, 0, 1]])

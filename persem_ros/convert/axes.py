@@ -1,10 +1,9 @@
 """Conventions of pose files, and a check that depth images agree under the chosen one."""
 
-import logging
 from itertools import product
+import logging
 
 import numpy as np
-
 from persem_ros.core.geometry import inverse
 
 LOG = logging.getLogger(__name__)
@@ -88,8 +87,8 @@ def reprojection_error(depth_i, depth_j, T_j_i, K):
     seen = (u > -0.5) & (v > -0.5) & (u < width - 0.5) & (v < height - 0.5)
     error = np.full(len(d), WORST)
     hit = depth_j[np.rint(v[seen]).astype(int), np.rint(u[seen]).astype(int)]
-    error[seen] = np.where(hit > 0, np.minimum(WORST, np.abs(z[seen] - hit) / np.maximum(hit, 1e-6)),
-                           np.nan)
+    miss = np.abs(z[seen] - hit) / np.maximum(hit, 1e-6)
+    error[seen] = np.where(hit > 0, np.minimum(WORST, miss), np.nan)
     return error[~np.isnan(error)]
 
 

@@ -1,11 +1,10 @@
 """The calibration file of UAVScenes: Python source that is read, never run."""
 
 import ast
-import logging
 from dataclasses import dataclass
+import logging
 
 import numpy as np
-
 from persem_ros.convert.files import read_text
 from persem_ros.convert.poses import rigid
 from persem_ros.errors import PersemError

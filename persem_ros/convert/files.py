@@ -1,10 +1,9 @@
 """Finding the files of a data set by pattern, and reading its text files."""
 
-import re
 from pathlib import Path
+import re
 
 import numpy as np
-
 from persem_ros.errors import PersemError
 
 

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-
 from persem_ros.errors import PersemError
 
 UNITS = {'m': 1.0, 'cm': 100.0, 'mm': 1000.0}

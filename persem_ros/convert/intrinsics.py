@@ -4,10 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import yaml
-
 from persem_ros.convert.files import numbers_of, read_lines, read_text
 from persem_ros.errors import PersemError
+import yaml
 
 EXPECTED = 'expected 4 numbers (fx fy cx cy), a 3x3 or a 4x4 matrix'
 

@@ -1,11 +1,10 @@
 """Depth images from LiDAR scans."""
 
-import re
 from pathlib import Path
+import re
 
 import cv2
 import numpy as np
-
 from persem_ros.errors import PersemError
 
 NAME = re.compile(r'image(\d+\.\d+)_lidar(\d+\.\d+)\.(?:txt|npy)')

@@ -1,11 +1,10 @@
 """Pose files: one matrix a file (7-Scenes, ScanNet), or a trajectory (TUM, KITTI)."""
 
-import logging
 from bisect import bisect_left
 from dataclasses import dataclass, field
+import logging
 
 import numpy as np
-
 from persem_ros.convert.files import canonical, numbers_of, read_lines
 from persem_ros.convert.stamps import number_of_name, seconds_to_ns
 from persem_ros.core.geometry import matrix_to_quaternion, slerp, transform

@@ -1,7 +1,7 @@
 """What every converter writes: frames and poses, on the topics that a replay reads."""
 
-import logging
 from collections import Counter
+import logging
 
 from persem_ros.config import Topics
 from persem_ros.errors import PersemError
@@ -20,18 +20,26 @@ class SceneWriter:
         The open recording.
     legend : Legend, optional
         Goes to /semantic/legend, latched.
+    trajectory : iterable of (int, ndarray of shape (4, 4))
+        Stamps, ascending, and T_map_camera; written among the images, so that a recording
+        that breaks off has the poses of what it has.
 
     Attributes
     ----------
     counts : Counter
         Messages written, by what they are: labels, depth, poses, ….
+    depth_size : tuple of int
+        (width, height) of the last depth image, None before the first.
 
     """
 
-    def __init__(self, out, legend=None):
+    def __init__(self, out, legend=None, trajectory=()):
         self.counts = Counter()
+        self.depth_size = None
         self._out, self._topics = out, Topics()
         self._stamps = []
+        self._trajectory = iter(trajectory)
+        self._next = next(self._trajectory, None)
         if legend is not None:
             out.text('semantic/legend', legend.to_yaml(), latched=True)
 
@@ -50,25 +58,32 @@ class SceneWriter:
     def depth(self, stamp, array, encoding, K, D=(), model='plumb_bob'):
         """Write a depth image and the camera info of its size."""
         height, width = array.shape
+        self.depth_size = width, height
         self._out.camera_info(self._topics.camera_info, stamp, CAMERA, width, height, K, D, model)
         self._image('depth', self._topics.depth, stamp, array, encoding)
 
-    def pose(self, stamp, T):
-        """Write T_map_camera as a PoseStamped and to /tf."""
-        self._out.pose(self._topics.pose, stamp, MAP, T)
-        self._out.tf(stamp, MAP, CAMERA, T)
-        self.counts['poses'] += 1
+    def finish(self):
+        """Write the poses that are left; return one line on what was written."""
+        while self._next is not None:
+            self._pose()
+        counts = ', '.join(f'{n} {what}' for what, n in self.counts.items())
+        seconds = (max(self._stamps) - min(self._stamps)) / 1e9
+        return f'{counts}; {seconds:.3f} s from stamp {min(self._stamps) / 1e9:.3f}'
 
     def _image(self, what, topic, stamp, array, encoding):
+        while self._next is not None and self._next[0] <= stamp:
+            self._pose()
         self._out.image(topic, stamp, CAMERA, array, encoding)
         self.counts[what] += 1
         self._stamps.append(stamp)
 
-    def summary(self):
-        """Return one line: what was written, and the time that it covers."""
-        counts = ', '.join(f'{n} {what}' for what, n in self.counts.items())
-        seconds = (max(self._stamps) - min(self._stamps)) / 1e9
-        return f'{counts}; {seconds:.3f} s from stamp {min(self._stamps) / 1e9:.3f}'
+    def _pose(self):
+        """Write the next pose as a PoseStamped and to /tf."""
+        stamp, T = self._next
+        self._out.pose(self._topics.pose, stamp, MAP, T)
+        self._out.tf(stamp, MAP, CAMERA, T)
+        self.counts['poses'] += 1
+        self._next = next(self._trajectory, None)
 
 
 def report_dropped(dropped):

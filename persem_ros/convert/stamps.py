@@ -1,8 +1,8 @@
 """Stamps in integer nanoseconds, from text: floats since 1970 resolve only 240 ns."""
 
-import re
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
+import re
 
 from persem_ros.convert.files import canonical, read_lines
 from persem_ros.errors import PersemError

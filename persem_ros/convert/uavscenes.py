@@ -1,29 +1,18 @@
 """A run of UAVScenes becomes a recording."""
 
-import logging
-from collections import OrderedDict
 from dataclasses import dataclass
-from pathlib import Path
+import logging
 
 import numpy as np
-from tqdm import tqdm
-
-from persem_ros.convert import calibration, lidar
+from persem_ros.convert import calibration
 from persem_ros.convert.files import some
-from persem_ros.convert.images import (
-    nearest,
-    parse_unit,
-    read_array,
-    read_color,
-    read_depth,
-    read_labels,
-    same_aspect,
-    scaled_K,
-)
-from persem_ros.convert.scene import SceneWriter, chosen, report_dropped
-from persem_ros.convert.uavscenes_layout import find_calibration, find_run, images
+from persem_ros.convert.images import nearest, read_color, read_labels, same_aspect, scaled_K
+from persem_ros.convert.scene import chosen, report_dropped, SceneWriter
+from persem_ros.convert.uavscenes_depth import FolderDepth, LidarDepth
+from persem_ros.convert.uavscenes_layout import find_calibration, find_run, folder_of, images
 from persem_ros.errors import PersemError
 from persem_ros.outputs.recording import RecordingWriter
+from tqdm import tqdm
 
 LOG = logging.getLogger(__name__)
 NAMED = (0, 1, 2, 3, 4, 5, 6, 9, 10, 11, 13, 14, 15, 16, 17, 18, 19, 20, 24)
@@ -111,78 +100,21 @@ def convert_uavscenes(root, name, path, options=None, legend=None, **writing):
     run = find_run(root, name, options.interval)
     labels = _label_files(run, options)
     rig = _calibration(root, run, options)
-    depth = _FolderDepth(options) if options.depth else _LidarDepth(run, rig, options)
+    depth = FolderDepth(options) if options.depth else LidarDepth(run, rig, options)
     keys = chosen(_complete(run, labels, depth), options.frames, options.every)
     with writer as out:
-        scene = SceneWriter(out, legend)
+        scene = SceneWriter(out, legend, _trajectory(run, keys))
         for key in tqdm(keys, unit='frame', disable=None):
             _write_frame(scene, run, key, labels[key], depth, rig, options)
-        begin, end = run.samples[keys[0]].stamp, run.samples[keys[-1]].stamp
-        for sample in run.samples.values():
-            if begin <= sample.stamp <= end:
-                scene.pose(sample.stamp, sample.T_map_camera)
-        return scene.summary()
+        return scene.finish()
 
 
-class _FolderDepth:
-    """Depth from a folder of images that are named like the camera's."""
-
-    def __init__(self, options):
-        self._options = options
-        self._unit = parse_unit(options.depth_unit or None)
-        self.files = images(_folder('--depth', options.depth))
-        if not self.files:
-            raise PersemError(f'--depth {options.depth}: no files named after stamps, like '
-                              '1658137057.641204937.png')
-        first = next(iter(self.files.values()))
-        if self._unit is None and read_array(first).dtype.kind != 'f':
-            raise PersemError(f'{first}: integers without a unit; say --depth-unit mm, cm, m or '
-                              'the units that make a metre')
-
-    def image(self, key, K_of, D, size):
-        """Return (depth, encoding) of a frame, never larger than *size* (width, height)."""
-        depth, encoding = read_depth(self.files[key], self._unit, self._options.depth_invalid)
-        own = depth.shape[1], depth.shape[0]
-        if not same_aspect(own, size):
-            raise PersemError(f'{self.files[key]}: {own[0]}x{own[1]}, but the labels are '
-                              f'{size[0]}x{size[1]}; expected one aspect ratio')
-        return nearest(depth, size) if own[0] > size[0] else depth, encoding
-
-
-class _LidarDepth:
-    """Depth from the frame's scan and its neighbours, the nearest point of a pixel."""
-
-    def __init__(self, run, rig, options):
-        if run.lidar is None:
-            raise PersemError(f'no folder interval{run.interval}_LIDAR of {run.name}; unpack the '
-                              'LiDAR archive, or give --depth DIR')
-        scans = lidar.scans_of(run.lidar)
-        self.files = {key: path for key, path in scans.items() if key in run.samples}
-        if not self.files:
-            raise PersemError(f'{run.lidar}: no scans named image<stamp>_lidar<stamp>.txt with a '
-                              f'pose; {len(scans)} scans, {len(run.samples)} poses')
-        self._run, self._rig, self._around = run, rig, options.lidar
-        self._order = list(self.files)
-        self._index = {key: i for i, key in enumerate(self._order)}
-        self._scans = OrderedDict()     # in the map frame, the last used
-
-    def image(self, key, K_of, D, size):
-        """Return (depth, encoding) of a frame, of *size* (width, height)."""
-        i = self._index[key]
-        near = self._order[max(0, i - self._around):i + self._around + 1]
-        points = np.concatenate([self._in_map(other) for other in near])
-        T = self._run.samples[key].T_map_camera
-        points = (points - T[:3, 3]) @ T[:3, :3]
-        return lidar.depth_of_points(points, K_of(size), D, size), '32FC1'
-
-    def _in_map(self, key):
-        """Return a scan's points in the map frame; the last few stay in memory."""
-        if key not in self._scans:
-            T = self._run.samples[key].T_map_camera @ self._rig.T_camera_lidar
-            self._scans[key] = lidar.read_scan(self.files[key]) @ T[:3, :3].T + T[:3, 3]
-            while len(self._scans) > 2 * self._around + 1:
-                self._scans.popitem(last=False)
-        return self._scans[key]
+def _trajectory(run, keys):
+    """Yield (stamp, T_map_camera) of all images of the full rate that the frames span."""
+    begin, end = run.samples[keys[0]].stamp, run.samples[keys[-1]].stamp
+    for sample in sorted(run.samples.values(), key=lambda sample: sample.stamp):
+        if begin <= sample.stamp <= end:
+            yield sample.stamp, sample.T_map_camera
 
 
 def _check_options(options):
@@ -192,17 +124,10 @@ def _check_options(options):
         raise PersemError(f'--lidar {options.lidar}: expected 0 to {MAX_SCANS} scans')
 
 
-def _folder(flag, text):
-    path = Path(text)
-    if not path.is_dir():
-        raise PersemError(f'{flag} {text}: no such folder')
-    return path
-
-
 def _label_files(run, options):
     """Return {stamp as text: path} of the input labels."""
     if options.predictions:
-        labels = images(_folder('--predictions', options.predictions))
+        labels = images(folder_of('--predictions', options.predictions))
         if not labels:
             raise PersemError(f'--predictions {options.predictions}: no files named after stamps, '
                               'like 1658137057.641204937.png')

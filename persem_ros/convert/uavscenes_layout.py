@@ -1,13 +1,12 @@
 """Where UAVScenes keeps a run's files, in all the forms that unpacking gives them."""
 
-import json
-import re
 from dataclasses import dataclass, field
 from glob import escape
+import json
 from pathlib import Path
+import re
 
 import numpy as np
-
 from persem_ros.convert.files import files_of, read_text
 from persem_ros.convert.poses import rigid
 from persem_ros.convert.stamps import stamp_of_name
@@ -98,6 +97,14 @@ def find_run(root, name, interval=None):
     run.color = images(_below(root, n, name, f'interval{n}_CAM'))
     _read_samples(infos, run)
     return run
+
+
+def folder_of(flag, text):
+    """Return the folder that an option names, or refuse it."""
+    path = Path(text)
+    if not path.is_dir():
+        raise PersemError(f'{flag} {text}: no such folder')
+    return path
 
 
 def images(folder):

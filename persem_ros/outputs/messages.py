@@ -1,7 +1,6 @@
 """Arrays to ROS messages, through the message classes of a rosbags typestore."""
 
 import numpy as np
-
 from persem_ros.core.geometry import matrix_to_quaternion
 from persem_ros.errors import PersemError
 
@@ -82,7 +81,7 @@ class MessageFactory:
             model, np.asarray(D, float).reshape(-1), K.reshape(-1), np.eye(3).reshape(-1),
             P.reshape(-1), 0, 0, roi)
 
-    def _vector_and_quaternion(self, T, vector):
+    def _place(self, T, vector):
         T = np.asarray(T, float)
         x, y, z, w = map(float, matrix_to_quaternion(T[:3, :3]))
         return (self.make(f'geometry_msgs/msg/{vector}', *map(float, T[:3, 3])),
@@ -90,7 +89,7 @@ class MessageFactory:
 
     def transform(self, stamp, parent, child, T):
         """Return a geometry_msgs/TransformStamped; *T* maps child points to the parent."""
-        value = self.make('geometry_msgs/msg/Transform', *self._vector_and_quaternion(T, 'Vector3'))
+        value = self.make('geometry_msgs/msg/Transform', *self._place(T, 'Vector3'))
         return self.make('geometry_msgs/msg/TransformStamped', self.header(stamp, parent), child,
                          value)
 
@@ -114,13 +113,13 @@ class MessageFactory:
         """
         if kind == 'TransformStamped':
             return (f'geometry_msgs/msg/{kind}', self.transform(stamp, frame_id, child_frame, T))
-        header = self.header(stamp, frame_id)
-        pose = self.make('geometry_msgs/msg/Pose', *self._vector_and_quaternion(T, 'Point'))
+        name, header = f'geometry_msgs/msg/{kind}', self.header(stamp, frame_id)
+        pose = self.make('geometry_msgs/msg/Pose', *self._place(T, 'Point'))
         if kind == 'PoseStamped':
-            return f'geometry_msgs/msg/{kind}', self.make(f'geometry_msgs/msg/{kind}', header, pose)
+            return name, self.make(name, header, pose)
         pose = self.make('geometry_msgs/msg/PoseWithCovariance', pose, np.zeros(36))
         if kind == 'PoseWithCovarianceStamped':
-            return f'geometry_msgs/msg/{kind}', self.make(f'geometry_msgs/msg/{kind}', header, pose)
+            return name, self.make(name, header, pose)
         if kind != 'Odometry':
             raise PersemError(f'pose type {kind!r}: expected PoseStamped, '
                               'PoseWithCovarianceStamped, Odometry or TransformStamped')

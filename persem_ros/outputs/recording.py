@@ -1,24 +1,18 @@
 """Writing rosbag2 recordings (mcap or sqlite3) without ROS."""
 
+from contextlib import suppress
+from pathlib import Path
 import shutil
 import sqlite3
 import tempfile
-from contextlib import suppress
-from pathlib import Path
-
-from rosbags.interfaces import (
-    Qos,
-    QosDurability,
-    QosHistory,
-    QosLiveliness,
-    QosReliability,
-    QosTime,
-)
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
 
 from persem_ros.errors import PersemError
 from persem_ros.outputs.messages import MessageFactory
+from rosbags.interfaces import (
+    Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime,
+)
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import get_typestore, Stores
 
 STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
 FILE_ERRORS = (OSError, sqlite3.Error)
@@ -172,7 +166,8 @@ class RecordingWriter:
             raise self._refusal(error) from error
 
     def _refusal(self, error):
-        return PersemError(f'cannot write {self.path}: {getattr(error, "strerror", None) or error}')
+        reason = getattr(error, 'strerror', None) or error
+        return PersemError(f'cannot write {self.path}: {reason}')
 
     def _move(self):
         """Put the finished folder in its place; the old one goes only when it is there."""
