@@ -82,7 +82,7 @@ def push(voxels, links, free, used, v, n, c, s, t):
         links[link - 1].next = 0
         if voxels[v].tail == 0:
             voxels[v].head = link
-            voxels[v].first = n - place
+            voxels[v].first = n
         else:
             links[np.int64(voxels[v].tail) - 1].next = link
         voxels[v].tail = link
@@ -113,10 +113,11 @@ def drop_oldest(voxels, links, retired, used, v):
     """
     link = np.int64(voxels[v].head) - 1
     voxels[v].head = links[link].next
-    voxels[v].first += CHUNK
+    kept = (np.int64(voxels[v].first) // CHUNK + 1) * CHUNK
+    used[STORED] -= kept - np.int64(voxels[v].first)
+    voxels[v].first = kept
     retired[used[RETIRED]] = link
     used[RETIRED] += 1
-    used[STORED] -= CHUNK
 
 
 @kernel

@@ -6,6 +6,7 @@ import numpy as np
 
 from persem_ros.core.append import add_evidence, push, read_evidence
 from persem_ros.core.blocks import count_blocks, make_block, new_table
+from persem_ros.core.fusion import link_of
 from persem_ros.core.jit import kernel
 from persem_ros.core.memory import FrameRecord, VoxelMemory, sort_order
 from persem_ros.core.pools import CELLS, CHUNK, OBSERVATIONS, STORED, VOXELS
@@ -81,7 +82,9 @@ def dump(memory):
     block, cell, number = _listing(memory, order)
     records = pools.voxels[number]
     observations = records['n']
-    stored = np.minimum(observations, memory.max_history or 2 ** 32 - 1).astype(np.int64)
+    stored = observations.astype(np.int64) - records['first']
+    if memory.max_history:
+        stored = np.minimum(stored, memory.max_history)
     evidence_start, history_start = (np.zeros(len(number) + 1, np.int64) for _ in range(2))
     np.cumsum(stored, out=history_start[1:])
     _class_counts(pools.voxels, pools.spills, number, evidence_start[1:])
@@ -150,18 +153,16 @@ def _read(voxels, links, spills, number, evidence_start, classes, sums, history_
     for r in range(len(number)):
         v = number[r]
         read_evidence(voxels, spills, v, classes, sums, evidence_start[r])
-        n, at = np.int64(voxels[v].n), np.int64(voxels[v].first)
+        n, out = np.int64(voxels[v].n), history_start[r]
         begin = n - (history_start[r + 1] - history_start[r])
-        out = history_start[r]
-        link = np.int64(voxels[v].head)
-        while at < n:
-            for i in range(max(at, begin), min(at + CHUNK, n)):
-                labels[out] = links[link - 1].c[i % CHUNK]
-                confidences[out] = links[link - 1].s[i % CHUNK]
-                times[out] = links[link - 1].t[i % CHUNK]
-                out += 1
-            at += CHUNK
-            link = np.int64(links[link - 1].next)
+        link = link_of(links, voxels[v].head, voxels[v].first, begin)
+        for i in range(begin, n):
+            if i > begin and i % CHUNK == 0:
+                link = np.int64(links[link - 1].next)
+            labels[out] = links[link - 1].c[i % CHUNK]
+            confidences[out] = links[link - 1].s[i % CHUNK]
+            times[out] = links[link - 1].t[i % CHUNK]
+            out += 1
 
 
 @kernel

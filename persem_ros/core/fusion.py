@@ -51,10 +51,17 @@ def oldest(observations, first, max_history):
 @inlined
 def last_time(links, head, first, n):
     """Return t of observation number n - 1."""
-    link, at = np.int64(head), np.int64(first)
-    while at + CHUNK < n:
-        link, at = np.int64(links[link - 1].next), at + CHUNK
+    link = link_of(links, head, first, n - 1)
     return np.int64(links[link - 1].t[(n - 1) % CHUNK])
+
+
+@inlined
+def link_of(links, head, first, i):
+    """Return the link, + 1, that holds observation number i."""
+    link = np.int64(head)
+    for _ in range(i // CHUNK - np.int64(first) // CHUNK):
+        link = np.int64(links[link - 1].next)
+    return link
 
 
 @kernel
@@ -79,9 +86,7 @@ def fuse(begin, end, links, start, snapshot_classes, majority, observations, fir
         n = np.int64(observations[r])
         newest = last_time(links, head[r], first[r], n)
         at = oldest(n, first[r], max_history)
-        link = np.int64(head[r])
-        for _ in range((at - np.int64(first[r])) // CHUNK):
-            link = np.int64(links[link - 1].next)
+        link = link_of(links, head[r], first[r], at)
         for i in range(at, n):
             if i > at and i % CHUNK == 0:
                 link = np.int64(links[link - 1].next)

@@ -54,6 +54,7 @@ class VoxelMemory:
         self.store = Store()
         self.table = new_table(512)
         self._t_of_stamp = {}
+        self._next_t = 0
 
     @property
     def m(self):
@@ -114,6 +115,7 @@ class VoxelMemory:
         """Take over the frame table of a saved map; it goes on in the same session."""
         self.frames, self.session = list(frames), int(session)
         self._t_of_stamp = {f.stamp: f.t for f in frames if f.session == self.session}
+        self._next_t = max((f.t for f in frames), default=-1) + 1
 
     def volatility(self):
         """
@@ -168,15 +170,15 @@ class VoxelMemory:
     def history(self, voxel):
         """Return the stored observations of a voxel: labels uint16, confidences f4, t int32."""
         record, links = self.m.voxels[self.number(voxel)], self.m.links
-        n, at, link = int(record['n']), int(record['first']), int(record['head'])
-        parts = []
-        while link and at < n:
-            entry, stop = links[link - 1], min(CHUNK, n - at)
-            parts.append((entry['c'][:stop], entry['s'][:stop], entry['t'][:stop]))
-            at, link = at + CHUNK, int(entry['next'])
-        columns = tuple(np.concatenate(column) for column in zip(*parts))
-        keep = min(n, self.max_history) if self.max_history else n
-        return tuple(column[-keep:] for column in columns)
+        n, first, link = int(record['n']), int(record['first']), int(record['head'])
+        chain = []
+        while link:
+            chain.append(link - 1)
+            link = int(links[link - 1]['next'])
+        oldest = max(first, n - self.max_history) if self.max_history else first
+        skipped = first // CHUNK * CHUNK        # number of the chain's first place
+        return tuple(links[name][chain].reshape(-1)[oldest - skipped:n - skipped]
+                     for name in 'cst')
 
     def evidence(self, voxel):
         """Return {class: h_v(class)} of a voxel."""
@@ -203,7 +205,7 @@ class VoxelMemory:
         """Enter the frame into the table and return its t (spec section 1)."""
         t = self._t_of_stamp.get(observations.stamp)
         if t is None:
-            t = self.frames[-1].t + 1 if self.frames else 0
+            t, self._next_t = self._next_t, self._next_t + 1
             self._t_of_stamp[observations.stamp] = t
         self.frames.append(FrameRecord(t, self.session, observations.sensor, observations.stamp,
                                        observations.T_map_sensor))

@@ -26,7 +26,7 @@ VOXEL = np.dtype([
     ('n', 'u4'),                    # observations N_v
     ('switches', 'u4'),             # label changes between consecutive observations
     ('head', 'u4'), ('tail', 'u4'),     # first and last link of the history, + 1
-    ('first', 'u4'),                # number of the observation at place 0 of the first link
+    ('first', 'u4'),                # number of the oldest observation in the history
     ('more', 'u4'),                 # first link of spilt evidence, + 1; 0: none
     ('classes', 'u2', INLINE),
     ('majority', 'u2'),             # c_M
@@ -34,6 +34,7 @@ VOXEL = np.dtype([
     ('last', 'u2'),                 # label of the newest observation
     ('source', 'u1'),               # 0 majority, 1 history, 2 trust, 3 context
     ('dirty', 'u1')])               # evidence changed since a refinement was begun
+# Observation number i lies at place i % CHUNK of its link.
 LINK = np.dtype([('c', 'u2', CHUNK), ('s', 'f4', CHUNK), ('t', 'i4', CHUNK), ('next', 'u4')])
 SPILL = np.dtype([('sums', 'f8', INLINE), ('classes', 'u2', INLINE), ('next', 'u4'),
                   ('pad', 'u4')])

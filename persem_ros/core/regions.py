@@ -9,7 +9,7 @@ from persem_ros.core.snapshot import take
 HIGH_SWITCH_RATE = 0.3
 HIGH_ENTROPY = 0.5          # nat
 LOW_MARGIN = 0.3
-NAMES = ('boundary', 'difficult_core', 'high_switch')
+REGIONS = {'boundary': 1, 'difficult_core': 2, 'high_switch': 4}     # bits of a region code
 
 
 def regions(memory, neighbours=26):
@@ -18,30 +18,30 @@ def regions(memory, neighbours=26):
 
     Returns
     -------
-    dict
-        'boundary' (a neighbour has another majority label), 'high_switch' (label changes /
-        (N_v - 1) > 0.3), 'difficult_core' (at least two of: entropy of p_v > 0.5 nat, top-two
-        margin of p_v < 0.3, high switch, boundary): bool (voxels,), by voxel number; besides
-        'entropy' (nat) and 'switch_rate', float32.
+    codes : ndarray, shape (voxels,), uint8
+        By voxel number, the sum of the bits of REGIONS: *boundary* (a neighbour has another
+        majority label), *high switch* (label changes / (N_v - 1) > 0.3), *difficult core* (at
+        least two of: entropy of p_v > 0.5 nat, top-two margin of p_v < 0.3, high switch,
+        boundary).
+    entropy : ndarray, shape (voxels,), float32
+        Of p_v, nat.
+    switch_rate : ndarray, shape (voxels,), float32
 
     """
     taken, n = take(memory), memory.n_voxels
-    boundary, core, high = (np.zeros(n, np.uint8) for _ in range(3))
-    entropy, rate = np.zeros(n, np.float32), np.zeros(n, np.float32)
+    codes, entropy, rate = np.zeros(n, np.uint8), np.zeros(n, np.float32), np.zeros(n, np.float32)
     split(_classify, taken.refined, memory.m.blocks, memory.m.voxels, taken.block, taken.cell,
-          taken.number, taken.start, taken.shares, directions(neighbours), boundary, core, high,
-          entropy, rate)
-    return {'boundary': boundary.astype(bool), 'difficult_core': core.astype(bool),
-            'high_switch': high.astype(bool), 'entropy': entropy, 'switch_rate': rate}
+          taken.number, taken.start, taken.shares, directions(neighbours), codes, entropy, rate)
+    return codes, entropy, rate
 
 
 @kernel
-def _classify(begin, end, blocks, voxels, block, cell, number, start, shares, neighbours,
-              boundary, core, high, entropy, rate):
+def _classify(begin, end, blocks, voxels, block, cell, number, start, shares, neighbours, codes,
+              entropy, rate):
     """Classify rows begin .. end of a snapshot."""
     for r in range(begin, end):
         v = number[r]
-        nats, top, second = 0.0, 0.0, 0.0
+        nats, top, second, boundary = 0.0, 0.0, 0.0, 0
         for e in range(start[r], start[r + 1]):
             p = shares[e]
             nats -= p * np.log(p)
@@ -52,12 +52,14 @@ def _classify(begin, end, blocks, voxels, block, cell, number, start, shares, ne
         for d in neighbours:
             u = neighbour(blocks, block[r], cell[r], d)
             if u > 0 and voxels[u - 1].majority != voxels[v].majority:
-                boundary[v] = 1
+                boundary = 1
                 break
+        high = 0
         if voxels[v].n > 1:
             rate[v] = np.float32(voxels[v].switches / (voxels[v].n - 1.0))
-            high[v] = voxels[v].switches > HIGH_SWITCH_RATE * (voxels[v].n - 1.0)
+            high = 1 if voxels[v].switches > HIGH_SWITCH_RATE * (voxels[v].n - 1.0) else 0
         entropy[v] = nats
-        cues = np.int64(nats > HIGH_ENTROPY) + np.int64(top - second < LOW_MARGIN) \
-            + np.int64(high[v]) + np.int64(boundary[v])
-        core[v] = cues >= 2
+        cues = boundary + high
+        cues += 1 if nats > HIGH_ENTROPY else 0
+        cues += 1 if top - second < LOW_MARGIN else 0
+        codes[v] = boundary + 4 * high + (2 if cues >= 2 else 0)

@@ -4,7 +4,7 @@ import numpy as np
 
 from persem_ros.core.append import TIE
 from persem_ros.core.blocks import neighbour
-from persem_ros.core.fusion import oldest, place_of, winner
+from persem_ros.core.fusion import link_of, oldest, place_of, winner
 from persem_ros.core.jit import inlined, kernel
 from persem_ros.core.pools import CHUNK
 
@@ -193,9 +193,7 @@ def _replay(links, observations, first, head, c_M, trust, gap, surprise, gamma, 
     n_ids = 0
     n = np.int64(observations)
     at = oldest(n, first, max_history)
-    link = np.int64(head)
-    for _ in range((at - np.int64(first)) // CHUNK):
-        link = np.int64(links[link - 1].next)
+    link = link_of(links, head, first, at)
     before = np.int64(0)
     for i in range(at, n):
         if i > at and i % CHUNK == 0:

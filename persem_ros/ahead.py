@@ -1,0 +1,99 @@
+"""Reading ahead and writing behind: two small threads that keep both cores busy."""
+
+import queue
+import threading
+
+END = object()
+
+
+def read_ahead(items, depth=3):
+    """
+    Yield *items*, up to *depth* of which are made in advance by a thread.
+
+    What the iterator raises is raised here, in its place. When the consumer stops early, the
+    thread ends after the item that it is making.
+
+    """
+    ready, stopped = queue.Queue(depth), threading.Event()
+
+    def produce():
+        try:
+            for item in items:
+                if not _put(ready, (item, None), stopped):
+                    return
+            _put(ready, (END, None), stopped)
+        except BaseException as error:      # noqa: B902  handed over to the consumer
+            _put(ready, (END, error), stopped)
+
+    thread = threading.Thread(target=produce, name='read ahead', daemon=True)
+    thread.start()
+    try:
+        while True:
+            item, error = ready.get()
+            if error is not None:
+                raise error
+            if item is END:
+                return
+            yield item
+    finally:
+        stopped.set()
+        thread.join()
+
+
+class WriteBehind:
+    """
+    Calls that a thread makes in order, while the caller goes on.
+
+    A call that fails stops the rest; its error is raised by the next call or at the end.
+
+    """
+
+    def __init__(self, depth=4):
+        self._calls = queue.Queue(depth)
+        self._error = None
+        self._thread = threading.Thread(target=self._work, name='write behind', daemon=True)
+
+    def __enter__(self):
+        """Start the thread."""
+        self._thread.start()
+        return self
+
+    def __call__(self, function, *arguments):
+        """Have function(*arguments) called; waits while the queue is full."""
+        self._check()
+        self._calls.put((function, arguments))
+
+    def __exit__(self, kind, value, traceback):
+        """Wait until all is done, or, after an error in the block, drop what is left."""
+        if kind is not None:
+            self._error = self._error or value
+        self._calls.put((END, ()))
+        self._thread.join()
+        if kind is None:
+            self._check()
+
+    def _check(self):
+        if self._error is not None:
+            raise self._error
+
+    def _work(self):
+        while True:
+            function, arguments = self._calls.get()
+            if function is END:
+                return
+            if self._error is None:
+                try:
+                    function(*arguments)
+                except BaseException as error:      # noqa: B902  handed over to the caller
+                    self._error = error
+
+
+def _put(ready, item, stopped):
+    """Put an item into a bounded queue; False when the consumer has gone."""
+    while not stopped.is_set():
+        try:
+            ready.put(item, timeout=0.1)
+            return True
+        except queue.Full:
+            pass
+    return False

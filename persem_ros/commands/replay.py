@@ -1,0 +1,56 @@
+"""persem replay: from a recording to a refined map, refined images and metrics."""
+
+
+def add_parser(subparsers):
+    """Add the sub-command and its options."""
+    from persem_ros import config_file
+    parser = subparsers.add_parser(
+        'replay', help='turn a recording into a refined map, refined images and metrics',
+        description='Reads a rosbag2 recording of label images, depth and poses, builds and '
+                    'refines the map, renders every frame from it and measures accuracy and '
+                    'flicker.',
+        epilog='example: persem replay flight --out result --set memory.voxel_size=0.25')
+    parser.add_argument('bag', metavar='BAG', help='a rosbag2 recording: folder, .mcap or .db3')
+    parser.add_argument('--out', metavar='DIR', required=True, help='folder of the results')
+    parser.add_argument('--methods', metavar='A,B',
+                        help='methods to be measured (default: raw2d,majority and refine.method)')
+    parser.add_argument('--causal', action='store_true',
+                        help='render each frame from the map as it stood then, as a node does')
+    parser.add_argument('--force', action='store_true',
+                        help='replace the files of an earlier run in DIR')
+    config_file.add_arguments(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args):
+    """Replay the recording; print the table of results."""
+    from persem_ros import config_file
+    from persem_ros.replay import replay
+    config = config_file.from_args(args.config, args.set_items)
+    methods = args.methods.split(',') if args.methods else None
+    result = replay(args.bag, args.out, config, methods, args.causal, args.force)
+    print(summary(result))
+    print(f'\nresults in {args.out}')
+
+
+def summary(result):
+    """Return what metrics.json holds as a small table for people."""
+    frames = result['frames']
+    dropped = sum(frames['dropped'].values())
+    lines = [f'{frames["used"]} frames used, {dropped} dropped; {result["voxels"]} voxels, '
+             f'{result["observations"]} observations']
+    lines += [f'  {n} dropped: {reason}' for reason, n in sorted(frames['dropped'].items())]
+    lines += ['', f'{"method":<16}{"PA %":>8}{"mIoU %":>8}{"flicker %":>11}']
+    for name, row in result['methods'].items():
+        lines.append(f'{name:<16}{_cell(row["pixel_accuracy"], 8)}{_cell(row["miou"], 8)}'
+                     f'{_cell(row["flicker"], 11)}')
+    if result['truth_flicker'] is not None:
+        lines.append(f'{"(truth)":<16}{"":>8}{"":>8}{_cell(result["truth_flicker"], 11)}')
+    else:
+        lines.append('no truth in the recording: accuracy unknown, flicker only')
+    return '\n'.join(lines)
+
+
+def _cell(value, width):
+    """Return a number with two decimals, a dash where there is none."""
+    return f'{"-" if value is None else format(value, ".2f"):>{width}}'

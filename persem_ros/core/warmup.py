@@ -1,0 +1,44 @@
+"""Running every kernel once, so that the first real frame need not wait for a compiler."""
+
+import numpy as np
+
+from persem_ros.config import METHODS, Memory, Refine
+from persem_ros.core.dump import dump, load
+from persem_ros.core.images import points
+from persem_ros.core.memory import VoxelMemory
+from persem_ros.core.observe import observe
+from persem_ros.core.refine import label, refine
+from persem_ros.core.regions import regions
+from persem_ros.core.render import render, voxel_image
+from persem_ros.core.smoothing import EmaImages
+from persem_ros.frames import Frame, pinhole
+
+
+def warm_up():
+    """
+    Compile all kernels of the core, or load them from the cache.
+
+    The first time takes up to 20 s, later ones well below a second (core.jit.Announcement says
+    so to the user).
+
+    """
+    memory = VoxelMemory(0.01, max_history=8)       # small voxels: tables grow, too
+    camera = pinhole(160, 120, 100.0, 100.0, 80.0, 60.0)
+    labels = (np.arange(120 * 160, dtype=np.int32) % 3).reshape(120, 160)
+    depth = np.full((120, 160), 3.0)
+    for k in range(20):
+        frame = Frame(k, np.roll(labels, k), depth, camera)
+        placed, ids = points(frame, Memory())
+        seen = observe(placed, ids, frame.T_map_camera, memory.voxel_size, stamp=k)
+        memory.add(seen)
+    for method in METHODS:
+        label(memory, method, Refine())
+    refine(memory, Refine())
+    memory.add(seen)
+    refine(memory, Refine(), full=False)
+    memory = load(dump(memory))
+    first = memory.voxels()['voxel'][0]
+    memory.evidence(first)
+    regions(memory)
+    render(voxel_image(memory, seen, depth.shape), label(memory, 'majority', Refine())[0])
+    EmaImages(0.5).update(labels)

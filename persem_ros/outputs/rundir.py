@@ -1,0 +1,146 @@
+"""A run is a folder: what lies in it, and that nothing half-written ever does."""
+
+import os
+import platform
+import resource
+import shutil
+import subprocess
+import time
+from collections import defaultdict
+from contextlib import contextmanager
+from importlib import metadata
+from pathlib import Path
+
+from persem_ros import __version__
+from persem_ros.errors import PersemError
+
+FILES = ('map.ply', 'map.persem', 'refined', 'metrics.json', 'config.yaml', 'timing.json',
+         'report.html')
+
+
+def prepare(path, force=False):
+    """
+    Return the folder *path*, made and found writable.
+
+    With *force* the files of an earlier run are removed first, and nothing else.
+
+    Raises
+    ------
+    PersemError
+        When it is not empty and *force* is not set, is a file, or cannot be written.
+
+    """
+    path = Path(path)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        names = {entry.name for entry in path.iterdir()}
+        if names and not force:
+            raise PersemError(f'{path} is not empty; give another folder with --out, or --force '
+                              'to replace the files of an earlier run')
+        for name in names & set(FILES):
+            old = path / name
+            shutil.rmtree(old) if old.is_dir() else old.unlink()
+        probe = path / f'.{os.getpid()}.probe'
+        probe.write_bytes(b'')
+        probe.unlink()
+    except FileExistsError:
+        raise PersemError(f'{path} is a file; give the name of a folder with --out') from None
+    except OSError as error:
+        raise PersemError(f'cannot write to {path}: {error.strerror}') from error
+    return path
+
+
+class Stopwatch:
+    """Seconds by stage, added up; stages may run on several threads, so they can overlap."""
+
+    def __init__(self):
+        self.seconds = defaultdict(float)
+        self.calls = defaultdict(int)
+        self._start = time.perf_counter()
+
+    @contextmanager
+    def __call__(self, stage):
+        """Time the block as a part of *stage*."""
+        begin = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[stage] += time.perf_counter() - begin
+            self.calls[stage] += 1
+
+    def iterate(self, stage, items):
+        """Yield *items*; the time to get each counts as *stage*."""
+        items = iter(items)
+        while True:
+            with self(stage):
+                try:
+                    item = next(items)
+                except StopIteration:
+                    return
+            yield item
+
+    def total(self):
+        """Return the seconds since this watch was made."""
+        return time.perf_counter() - self._start
+
+
+def timing(watch, frames, sizes):
+    """
+    Return what timing.json holds.
+
+    Parameters
+    ----------
+    watch : Stopwatch
+    frames : int
+        Frames integrated.
+    sizes : dict
+        {what: bytes} of the memory.
+
+    """
+    total = watch.total()
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    return {'total_s': round(total, 3), 'frames': frames,
+            'frames_per_s': round(frames / total, 2),
+            'stages': {stage: {'s': round(seconds, 4), 'calls': watch.calls[stage]}
+                       for stage, seconds in watch.seconds.items()},
+            'memory': {'peak_rss_bytes': peak, 'map_bytes': sizes},
+            'versions': versions(), 'hardware': hardware()}
+
+
+def versions():
+    """Return {package: version} of what computes the results, with our commit where known."""
+    result = {'persem_ros': __version__, 'commit': commit(), 'python': platform.python_version()}
+    for name in ('numpy', 'numba', 'rosbags', 'opencv-python-headless'):
+        try:
+            result[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            result[name] = None
+    return result
+
+
+def commit():
+    """Return the source tree's git commit, '+' added where it was changed; None outside git."""
+    root = Path(__file__).resolve().parents[2]
+    if not (root / '.git').exists():
+        return None
+    try:
+        head, status = (subprocess.run(['git', '-C', str(root), *words], capture_output=True,
+                                       text=True, timeout=10, check=True).stdout.strip()
+                        for words in (['rev-parse', '--short=12', 'HEAD'],
+                                      ['status', '--porcelain', '--untracked-files=no']))
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return head + ('+' if status else '')
+
+
+def hardware():
+    """Return the processor's name and the number of cores that this process may use."""
+    name = platform.machine()
+    try:
+        for line in Path('/proc/cpuinfo').read_text().splitlines():
+            if line.startswith('model name'):
+                name = line.partition(':')[2].strip()
+                break
+    except OSError:
+        pass
+    return {'cpu': name, 'cores': len(os.sched_getaffinity(0))}

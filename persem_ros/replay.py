@@ -1,0 +1,231 @@
+"""A recording becomes a refined map, refined images and metrics: `persem replay`."""
+
+import logging
+import sys
+
+import numpy as np
+from tqdm import tqdm
+
+from persem_ros import config_file
+from persem_ros.ahead import WriteBehind, read_ahead
+from persem_ros.config import IMAGE_METHODS, METHODS, nearest
+from persem_ros.core.jit import Announcement
+from persem_ros.core.regions import regions
+from persem_ros.core.warmup import warm_up
+from persem_ros.errors import PersemError
+from persem_ros.inputs.recording import Recording
+from persem_ros.legend import Legend, load_legend
+from persem_ros.outputs import rundir, store
+from persem_ros.outputs.cloud import map_points
+from persem_ros.outputs.files import write_json, write_text
+from persem_ros.outputs.metrics import Metrics
+from persem_ros.outputs.ply import map_comments, write_ply
+from persem_ros.outputs.refined import RefinedWriter
+from persem_ros.pipeline import Pipeline
+from persem_ros.rendering import Renderer
+
+log = logging.getLogger(__name__)
+
+
+class Replay:
+    """
+    One replay of one recording into one folder.
+
+    Parameters
+    ----------
+    recording : persem_ros.inputs.recording.Recording
+    folder : Path
+        Where the results go; ready (outputs.rundir.prepare).
+    config : persem_ros.config.Config
+    methods : sequence of str
+        Methods to be measured; refine.method is among them.
+    watchers : sequence
+        Each is told of every rendered frame: watcher.frame(replay, frame, rendering); and at the
+        end: watcher.finish(replay, result).
+
+    """
+
+    def __init__(self, recording, folder, config, methods, watchers=()):
+        self.recording, self.folder, self.config = recording, folder, config
+        self.methods, self.watchers = tuple(methods), tuple(watchers)
+        self.watch = rundir.Stopwatch()
+        self.legend = chosen_legend(config, recording)
+        self.pipeline = Pipeline(config, start_map(config))
+        self.metrics = Metrics(self.methods)
+        self.frames = 0
+
+    def run(self):
+        """Build the map, refine it, render every frame from it; return metrics.json's content."""
+        for frame in self._read('integrating'):
+            with self.watch('integrate'):
+                self.pipeline.add(frame)
+            self.frames += 1
+            check_coordinates(frame, self.config)
+        self._refine()
+        self._write_map()
+        renderer = Renderer(self.pipeline, self.methods)
+        renderer.relabel()
+        codes = regions(self.pipeline.memory, self.config.refine.neighbours)[0]
+        with self._refined() as refined, WriteBehind() as later:
+            for frame in self._read('rendering', truth=True, color=bool(self.watchers)):
+                self._render(frame, renderer, None, codes, refined, later)
+            later(refined.map, self.points, self.pipeline.memory.frames[-1].stamp)
+        return self._finish()
+
+    def run_causal(self):
+        """Integrate, refine when it is time, render: what a node would have published."""
+        period = int(self.config.refine.period * 1e9)
+        renderer, refined_at = Renderer(self.pipeline, self.methods), None
+        with self._refined() as refined, WriteBehind() as later:
+            for frame in self._read('mapping', truth=True, color=bool(self.watchers)):
+                with self.watch('integrate'):
+                    observations = self.pipeline.add(frame)
+                self.frames += 1
+                check_coordinates(frame, self.config)
+                refined_at = frame.stamp if refined_at is None else refined_at
+                if frame.stamp - refined_at >= period:
+                    self._refine()
+                    renderer.relabel()
+                    refined_at = frame.stamp
+                self._render(frame, renderer, observations, None, refined, later)
+            self._refine()
+            self._write_map()
+            later(refined.map, self.points, frame.stamp)
+        return self._finish()
+
+    def _read(self, what, **wanted):
+        """Yield the recording's frames, read ahead, with a progress bar on a terminal."""
+        frames = read_ahead(self.watch.iterate('read', self.recording.frames(**wanted)))
+        return tqdm(frames, what, self.recording.expected, unit=' frames', leave=False,
+                    dynamic_ncols=True, disable=not sys.stderr.isatty())
+
+    def _refine(self):
+        with self.watch('refine'):
+            self.pipeline.refine(full=True)
+
+    def _render(self, frame, renderer, observations, codes, refined, later):
+        """Render one frame by every method, measure it and hand it on."""
+        with self.watch('render'):
+            rendering = renderer.render(frame, observations)
+        with self.watch('measure'):
+            valid, truth = rendering.valid, rendering.truth
+            at = None if codes is None else np.where(
+                rendering.voxels >= 0, codes[rendering.voxels], np.uint8(0))
+            self.metrics.update(valid, rendering.images, truth, at, frame.sensor)
+        for watcher in self.watchers:
+            watcher.frame(self, frame, rendering)
+        later(refined.frame, frame, rendering.published)
+
+    def _refined(self):
+        """Return the writer of refined/."""
+        return RefinedWriter(self.folder / 'refined', self.legend, self.config, self.watch)
+
+    def _write_map(self):
+        """Write map.ply and map.persem."""
+        with self.watch('write map'):
+            memory = self.pipeline.memory
+            self.points = map_points(memory.voxels(), memory.voxel_size, self.legend)
+            write_ply(self.folder / 'map.ply', self.points, map_comments(
+                self.config.frames.map, memory.origin, memory.voxel_size))
+            store.save(self.folder / 'map.persem', memory, self.config, self.legend)
+
+    def _finish(self):
+        """Write metrics.json, config.yaml and timing.json; tell the watchers."""
+        memory = self.pipeline.memory
+        result = {'frames': {'used': self.frames, 'dropped': dict(self.recording.dropped)},
+                  'voxels': memory.n_voxels, 'observations': memory.n_observations,
+                  **self.metrics.result()}
+        write_text(self.folder / 'config.yaml', config_file.to_yaml(self.config))
+        write_json(self.folder / 'metrics.json', result)
+        self.timing = rundir.timing(self.watch, self.frames, memory.nbytes())
+        write_json(self.folder / 'timing.json', self.timing)
+        for watcher in self.watchers:
+            watcher.finish(self, result)
+        return result
+
+
+def replay(path, out, config, methods=None, causal=False, force=False, watchers=()):
+    """
+    Replay a recording into a folder (spec section 8).
+
+    Parameters
+    ----------
+    path : str or Path
+        A rosbag2 recording.
+    out : str or Path
+        The folder of the results.
+    config : persem_ros.config.Config
+    methods : sequence of str, optional
+        What is measured besides refine.method; raw2d and majority by default.
+    causal : bool
+        Render each frame from the map as it stood then.
+    force : bool
+        Replace the files of an earlier run.
+    watchers : sequence
+        See Replay.
+
+    Returns
+    -------
+    dict
+        The content of metrics.json.
+
+    Raises
+    ------
+    PersemError
+        When the recording or the folder cannot be used: one sentence.
+
+    """
+    methods = chosen_methods(methods, config)
+    with Recording(path, config) as recording:
+        folder = rundir.prepare(out, force)
+        with Announcement():
+            warm_up()
+        job = Replay(recording, folder, config, methods, watchers)
+        result = job.run_causal() if causal else job.run()
+        for note in recording.notes:
+            log.warning(note)
+    return result
+
+
+def chosen_methods(methods, config):
+    """Return the methods to be measured, refine.method among them; refuse unknown ones."""
+    known = IMAGE_METHODS + METHODS
+    methods = list(methods or ('raw2d', 'majority', config.refine.method))
+    for name in methods:
+        if name not in known:
+            raise PersemError(f'unknown method {name!r}{nearest(name, known)}; expected some of '
+                              f'{", ".join(known)}')
+    return tuple(dict.fromkeys(methods + [config.refine.method]))
+
+
+def chosen_legend(config, recording):
+    """Return the legend of labels.legend, else the recording's, else one of made-up colours."""
+    if config.labels.legend:
+        return load_legend(config.labels.legend)
+    if recording.legend_text:
+        return Legend.from_yaml(recording.legend_text, "the recording's legend")
+    return Legend()
+
+
+def start_map(config):
+    """Return the memory of map.path to go on with, or None."""
+    if not config.map.path:
+        return None
+    memory = store.load(config.map.path).memory(config)
+    memory.new_session()
+    return memory
+
+
+_warned = set()
+
+
+def check_coordinates(frame, config):
+    """Warn, once, where positions are so large that float32 points would be coarse."""
+    position = frame.T_map_camera[:3, 3] - config.map.origin
+    step = float(np.spacing(np.float32(np.abs(position).max())))
+    if step > config.memory.voxel_size / 20 and not _warned:
+        _warned.add(True)
+        proposal = [float(round(x, -3)) for x in frame.T_map_camera[:3, 3]]
+        log.warning('positions are so large that map points (float32) are exact to %.3g m only; '
+                    'move the origin with --set map.origin=%s', step,
+                    str(proposal).replace(' ', ''))
