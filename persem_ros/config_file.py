@@ -110,8 +110,16 @@ def from_file(path, config=None):
         What holds where the file is silent.
 
     """
-    config = Config() if config is None else config
-    entries = read(path)
+    return _applied(read(path), path, config)
+
+
+def from_text(text, name):
+    """Return the Config of a YAML text in ROS form; *name* stands for it in refusals."""
+    return _applied(_read_text(text, name), name, None)
+
+
+def _applied(entries, path, config):
+    """Return *config* with the entries {name: (value, line)} of a file applied."""
     values = {name: value for name, (value, _) in entries.items()}
     try:
         return from_values(values, config)
@@ -127,11 +135,20 @@ def from_file(path, config=None):
 def read(path):
     """Return {dotted name: (value, line)} of a YAML file in ROS form."""
     try:
-        root = yaml.compose(Path(path).read_text(encoding='utf-8'), _Loader)
+        text = Path(path).read_text(encoding='utf-8')
     except OSError as error:
         raise PersemError(f'{path}: cannot be read ({error.strerror}); expected a YAML file in '
                           "ROS form, 'persem config' prints one") from None
-    except (UnicodeDecodeError, yaml.YAMLError) as error:
+    except UnicodeDecodeError:
+        raise PersemError(f'{path}: not YAML: not text') from None
+    return _read_text(text, path)
+
+
+def _read_text(text, path):
+    """Return {dotted name: (value, line)} of a YAML text in ROS form."""
+    try:
+        root = yaml.compose(text, _Loader)
+    except (yaml.YAMLError, RecursionError) as error:
         mark = getattr(error, 'problem_mark', None)
         line = f', line {mark.line + 1}' if mark else ''
         problem = getattr(error, 'problem', None) or 'not text'
