@@ -129,7 +129,15 @@ def _rvl_image(body):
     return image.reshape(rows, columns)
 
 
-@numba.njit(cache=True, nogil=True)
+def _compiled(function):
+    """Compile *function*; the code is cached where any folder for it can be written."""
+    try:
+        return numba.njit(cache=True, nogil=True)(function)
+    except RuntimeError:
+        return numba.njit(nogil=True)(function)
+
+
+@_compiled
 def _number(data, at, end):
     """
     Read one variable-length number.
@@ -152,7 +160,7 @@ def _number(data, at, end):
     return -1, at
 
 
-@numba.njit(cache=True, nogil=True)
+@_compiled
 def rvl_decode(data, end, out):
     """
     Decode RVL (Wilson 2017: runs of zeros, runs of zigzag differences) into *out*.
