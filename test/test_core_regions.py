@@ -2,8 +2,7 @@
 
 import core_worlds as cw
 from hypothesis import given, strategies as st
-import numpy as np
-from persem_ros.core.regions import region_image, REGIONS, regions
+from persem_ros.core.regions import REGIONS, regions
 import reference as ref
 
 
@@ -11,14 +10,11 @@ import reference as ref
 @given(cw.worlds(), st.sampled_from([6, 18, 26]))
 def test_as_in_the_reference(world, neighbours):
     memory, plain = cw.core_of(world), cw.reference_of(world)
-    codes = regions(memory, neighbours)
+    codes, entropy, rate = regions(memory, neighbours)
     for voxel, names in ref.regions(plain, neighbours).items():
-        code = codes[memory.number(voxel)]
-        assert {name for name, bit in REGIONS.items() if code & bit} == names
-
-
-def test_a_pixel_has_its_voxels_regions():
-    voxels = np.array([[0, -1, 2], [1, 1, -1]], np.int32)
-    codes = np.array([5, 0, 7], np.uint8)
-    assert region_image(voxels, codes).tolist() == [[5, 0, 7], [0, 0, 0]]
-    assert region_image(voxels[:, 1:2] * 0 - 1, codes[:0]).tolist() == [[0], [0]]
+        v = memory.number(voxel)
+        assert {name for name, bit in REGIONS.items() if codes[v] & bit} == names
+        assert abs(entropy[v] - ref.entropy(plain.share(voxel))) < 1e-6
+        labels = [c for c, _, _ in plain.histories[voxel]]
+        changes = sum(a != b for a, b in zip(labels, labels[1:]))
+        assert abs(rate[v] - changes / max(1, len(labels) - 1)) < 1e-6

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from persem_ros.core.append import TIE
 from persem_ros.core.blocks import directions, neighbour
 from persem_ros.core.jit import kernel, split
 from persem_ros.core.snapshot import take
@@ -44,7 +45,8 @@ def _classify(begin, end, blocks, voxels, block, cell, number, start, shares, ne
         nats, top, second, boundary = 0.0, 0.0, 0.0, 0
         for e in range(start[r], start[r + 1]):
             p = shares[e]
-            nats -= p * np.log(p)
+            if p > 0.0:
+                nats -= p * np.log(p)
             if p > top:
                 top, second = p, top
             elif p > second:
@@ -56,10 +58,11 @@ def _classify(begin, end, blocks, voxels, block, cell, number, start, shares, ne
                 break
         high = 0
         if voxels[v].n > 1:
-            rate[v] = np.float32(voxels[v].switches / (voxels[v].n - 1.0))
-            high = 1 if voxels[v].switches > HIGH_SWITCH_RATE * (voxels[v].n - 1.0) else 0
+            switching = voxels[v].switches / (voxels[v].n - 1.0)
+            rate[v] = np.float32(switching)
+            high = 1 if switching > HIGH_SWITCH_RATE + TIE else 0
         entropy[v] = nats
         cues = boundary + high
-        cues += 1 if nats > HIGH_ENTROPY else 0
-        cues += 1 if top - second < LOW_MARGIN else 0
+        cues += 1 if nats > HIGH_ENTROPY + TIE else 0
+        cues += 1 if top - second < LOW_MARGIN - TIE else 0
         codes[v] = boundary + 4 * high + (2 if cues >= 2 else 0)
