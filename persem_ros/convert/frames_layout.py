@@ -185,9 +185,8 @@ def _find_poses(folder, options, keys, stamped):
             return poses_from_trajectory(path, keys, stamped)
         found = files_of(folder, candidate) if '*' in candidate or path.is_dir() else {}
         if found:
-            names = {canonical(key): key for key in keys}
-            return poses_from_files({names[canonical(key)]: path for key, path in found.items()
-                                     if canonical(key) in names})
+            names = _namesakes(keys, list(found))
+            return poses_from_files({key: found[other] for key, other in names.items()})
     raise PersemError(f'{folder}: no poses like {options.pose or " or ".join(LAYOUTS["pose"])}; '
                       'name them with --pose FILE or PATTERN')
 
@@ -220,13 +219,20 @@ def _partners(times, named, others, tolerance):
     other_times = stamps_from_names(others) if named else None
     if other_times is not None:
         return _nearest(times, other_times, round(tolerance * 1e9))
-    for form in (canonical, number_of_name):
-        forms = {form(other): other for other in others}
-        result = {key: (forms[form(key)], stamp) for key, stamp in times.items()
-                  if form(key) in forms and form(key) is not None}
-        if result:
-            return result
-    return {}
+    return {key: (other, times[key]) for key, other in _namesakes(list(times), others).items()}
+
+
+def _namesakes(keys, others):
+    """Return {key: other} of the same names, or else of the same numbers in them."""
+    names = {canonical(other): other for other in others}
+    result = {key: names[canonical(key)] for key in keys if canonical(key) in names}
+    if result:
+        return result
+    numbers = {number_of_name(other): other for other in others}
+    result = {key: numbers[number_of_name(key)] for key in keys
+              if number_of_name(key) is not None and number_of_name(key) in numbers}
+    # A few numbers in common are chance: two folders that count differently.
+    return result if 2 * len(result) >= min(len(keys), len(others)) else {}
 
 
 def _nearest(times, other_times, tolerance):

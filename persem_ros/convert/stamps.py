@@ -114,5 +114,5 @@ def _key(name, known):
     for form in (name, path.name, path.stem):
         if canonical(form) in known:
             return known[canonical(form)]
-    numbers = re.findall(r'\d+', path.stem)
-    return known.get(canonical(numbers[-1])) if numbers and '.' not in path.stem else None
+    numbers = re.findall(r'\d+', path.name.split('.')[0])
+    return known.get(canonical(numbers[-1])) if numbers else None
