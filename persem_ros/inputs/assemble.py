@@ -1,5 +1,7 @@
 """Messages of one instant to a Frame; the last step of the way in, live and in a replay."""
 
+from collections import deque
+
 import numpy as np
 
 from persem_ros.frames import Frame
@@ -9,6 +11,7 @@ from persem_ros.inputs.messages import BadMessage
 from persem_ros.inputs.sync import COLOR, DEPTH, LABELS, TRUTH
 
 CAMERAS_KEPT = 8        # a zoom lens must not fill the memory
+CHANGES_KEPT = 64
 
 
 class Assembler:
@@ -26,19 +29,18 @@ class Assembler:
 
     def __init__(self, rectified=False, sensor=''):
         """Start without a camera info."""
-        self.info = None
-        self._key = None
+        self._infos = deque(maxlen=CHANGES_KEPT)    # (stamp, content, info) at each change
         self._rectified = rectified
         self._sensor = sensor
         self._cameras = {}
 
     def add_info(self, info):
-        """Use *info* from now on; refuse (BadMessage) one without a usable matrix."""
+        """Use *info* for images from its stamp on; refuse (BadMessage) an unusable one."""
         key = content(info)
-        if key == self._key:
+        if self._infos and self._infos[-1][1] == key:
             return
         check(info, self._rectified)
-        self.info, self._key = info, key
+        self._infos.append((messages.stamp_ns(info), key, info))
 
     def frame(self, match, decoded):
         """
@@ -72,7 +74,7 @@ class Assembler:
                              f'a label image has the size {labels.shape[1]} x {labels.shape[0]}, '
                              f'its depth image {depth.shape[1]} x {depth.shape[0]}, expected one '
                              'aspect ratio')
-        view, blind = self._camera(*depth.shape[::-1], messages.frame_id(depth_msg))
+        view, blind = self._camera(depth_msg, *depth.shape[::-1])
         if blind is not None:
             depth[blind] = np.nan
         companions, faults = {}, []
@@ -85,15 +87,19 @@ class Assembler:
         return Frame(match.stamp, labels, depth, view, match.T_map_camera, self._sensor,
                      messages.frame_id(label_msg), encoding, **companions), faults
 
-    def _camera(self, width, height, frame_id):
+    def _camera(self, depth_msg, width, height):
         """Return the Camera of a depth image and the mask of pixels that it cannot see."""
-        if self.info is None:
+        if not self._infos:
             raise BadMessage('no camera info', 'no camera info came before the first frame')
-        key = self._key, width, height, frame_id
+        stamp = messages.stamp_ns(depth_msg)
+        _, content_key, info = next((entry for entry in reversed(self._infos)
+                                     if entry[0] <= stamp), self._infos[0])
+        frame_id = messages.frame_id(depth_msg)
+        key = content_key, width, height, frame_id
         if key not in self._cameras:
             if len(self._cameras) >= CAMERAS_KEPT:
                 self._cameras.pop(next(iter(self._cameras)))
-            view = camera(self.info, width, height, self._rectified, frame_id)
+            view = camera(info, width, height, self._rectified, frame_id)
             blind = np.isnan(view.rays[..., 0])
             view.rays[blind] = 0.0
             self._cameras[key] = view, blind if blind.any() else None

@@ -17,6 +17,7 @@ REPEATED = 'stamp repeated'
 WENT_BACK = 'stamp went back'
 QUEUE_FULL = 'queue full'
 UNUSED = 'depth: no labels'
+KEEP = 2.0      # s that an image without labels is kept at least: a segmenter needs its time
 
 
 @dataclass(eq=False)
@@ -90,6 +91,7 @@ class Synchronizer:
         self.dropped = Counter() if dropped is None else dropped
         self._tolerance = round(sync.tolerance * 1e9)
         self._wait = round(sync.max_wait * 1e9)
+        self._keep = max(self._wait, round(KEEP * 1e9))
         self._pose_wait = self._wait if pose_wait is None else round(pose_wait * 1e9)
         self._lookup = lookup
         self._partners = (DEPTH, *companions)
@@ -250,7 +252,7 @@ class Synchronizer:
             while queue:
                 oldest = queue[0]
                 passed = self._left is not None and oldest.stamp + self._tolerance < self._left
-                if not passed and now - oldest.arrival < self._wait or self._wanted(oldest.stamp):
+                if not passed and now - oldest.arrival < self._keep or self._wanted(oldest.stamp):
                     break
                 self._drop_partner(kind)
 
