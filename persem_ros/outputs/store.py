@@ -20,7 +20,7 @@ import numpy as np
 from persem_ros import config_file
 from persem_ros.core.dump import dump, load as load_memory, MemoryDump
 from persem_ros.core.memory import FrameRecord
-from persem_ros.core.pools import CELLS
+from persem_ros.core.pools import CELLS, SIDE
 from persem_ros.errors import PersemError
 from persem_ros.frames import MAX_ID
 from persem_ros.legend import Legend
@@ -96,6 +96,15 @@ class StoredMap:
                             'not come back with memory.max_history %d', self.path, kept, wanted)
             saved = replace(saved, max_history=wanted)
         return load_memory(saved)
+
+    def bounds(self):
+        """Return the corners (3,) of all voxels' centres, metres in the map frame."""
+        saved = self.saved
+        cell = saved.cell.astype(np.int64)
+        voxel = np.repeat(saved.block_index.astype(np.int64) * SIDE, np.diff(saved.block_start),
+                          axis=0) + np.stack([cell >> 6, cell >> 3 & 7, cell & 7], axis=1)
+        return tuple((corner + 0.5) * saved.voxel_size + np.array(saved.origin)
+                     for corner in (voxel.min(axis=0), voxel.max(axis=0)))
 
     def config(self):
         """Return the Config in force when the map was saved."""

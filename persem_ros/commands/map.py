@@ -1,0 +1,158 @@
+"""persem map: what is in a map file, its points, and why a voxel has its label."""
+
+from persem_ros.errors import PersemError
+
+
+def add_parser(subparsers):
+    """Add the sub-command and its own sub-commands."""
+    parser = subparsers.add_parser(
+        'map', help='look into a map file: info, export, query',
+        description='Looks into a map file (.persem) as a replay or ~/save_map leaves it.')
+    actions = parser.add_subparsers(metavar='ACTION', required=True)
+
+    info_parser = actions.add_parser('info', help='size, extent, classes, frames, settings')
+    info_parser.add_argument('file', metavar='FILE', help='a map file (.persem)')
+    info_parser.set_defaults(run=info)
+
+    export_parser = actions.add_parser(
+        'export', help='write the voxels as points of a PLY file',
+        description='Writes one point per voxel, as map.ply of a replay has them.')
+    export_parser.add_argument('file', metavar='FILE', help='a map file (.persem)')
+    export_parser.add_argument('--ply', metavar='OUT', required=True, help='the PLY file')
+    export_parser.add_argument(
+        '--crop', type=float, nargs=6, metavar=('X0', 'Y0', 'Z0', 'X1', 'Y1', 'Z1'),
+        help='only voxels whose centres lie in this box, metres in the map frame')
+    export_parser.add_argument(
+        '--min-observations', type=int, default=1, metavar='N',
+        help='only voxels that were observed N times or more often')
+    export_parser.set_defaults(run=export)
+
+    query_parser = actions.add_parser(
+        'query', help='the history of one voxel, its evidence, its label and why',
+        description='Shows what was seen in the voxel at a point, and each step from there to '
+                    'its label.')
+    query_parser.add_argument('file', metavar='FILE', help='a map file (.persem)')
+    for axis in 'xyz':
+        query_parser.add_argument(axis, metavar=axis.upper(), type=float,
+                                  help=f'{axis} in metres in the map frame')
+    query_parser.set_defaults(run=query)
+
+
+def info(args):
+    """Print what the map file holds."""
+    import numpy as np
+    from persem_ros.config import settings
+    from persem_ros.outputs.store import load
+    stored = load(args.file)
+    saved, origin = stored.saved, np.array(stored.saved.origin)
+    print(f'{args.file}: {stored.path.stat().st_size / 1e6:.1f} MB, whole')
+    print(f'frame {stored.map_frame}, voxels of {saved.voxel_size:g} m, '
+          f'origin {_point(origin)} m')
+    print(f'{len(saved.cell)} voxels in {len(saved.block_index)} blocks, '
+          f'{int(saved.observations.sum(dtype=np.int64))} observations'
+          + (f', the newest {saved.max_history} of each voxel kept' if saved.max_history else ''))
+    if len(saved.cell):
+        low, high = stored.bounds()
+        print(f'extent from {_point(low)} to {_point(high)} m')
+    print(_frames_line(saved))
+    if len(saved.cell):
+        print('\n' + _class_table(stored))
+    default = {name: value for name, value, _ in settings()}
+    others = [f'{name}={value}' for name, value, _ in settings(stored.config())
+              if default.get(name) != value]
+    print('\nsettings other than the defaults: ' + (', '.join(others) or 'none'))
+
+
+def export(args):
+    """Write the chosen voxels as a PLY file; print how many."""
+    import numpy as np
+    from persem_ros.outputs.cloud import map_points
+    from persem_ros.outputs.ply import map_comments, write_ply
+    from persem_ros.outputs.store import load
+    stored = load(args.file)
+    memory = stored.memory()
+    columns = memory.voxels()
+    keep = columns['observations'] >= args.min_observations
+    if args.crop:
+        low, high = np.array(args.crop[:3]), np.array(args.crop[3:])
+        if not (low < high).all():
+            raise PersemError(f'--crop: expected X0 < X1, Y0 < Y1 and Z0 < Z1, got '
+                              f'{_point(low)} and {_point(high)}')
+        centres = (columns['voxel'] + 0.5) * memory.voxel_size + np.array(memory.origin)
+        keep &= ((centres >= low) & (centres <= high)).all(axis=1)
+    if not keep.any():
+        extent = 'is empty'
+        if memory.n_voxels:
+            extent = (f'reaches from {_point(stored.bounds()[0])} to '
+                      f'{_point(stored.bounds()[1])} m, with up to '
+                      f'{columns["observations"].max()} observations a voxel')
+        raise PersemError(f'{args.file}: no voxel is left to export; the map {extent}')
+    points = map_points({name: column[keep] for name, column in columns.items()},
+                        memory.voxel_size, stored.legend)
+    write_ply(args.ply, points, map_comments(stored.map_frame, memory.origin, memory.voxel_size))
+    print(f'{len(points)} of {memory.n_voxels} voxels written to {args.ply}')
+
+
+def query(args):
+    """Print the history, evidence and label of the voxel at a point."""
+    import numpy as np
+    from persem_ros.core.explain import explain
+    from persem_ros.outputs.explanation import explanation
+    from persem_ros.outputs.store import load
+    stored = load(args.file)
+    memory = stored.memory()
+    point = np.array([args.x, args.y, args.z])
+    place = np.floor((point - memory.origin) / memory.voxel_size)
+    if not (np.abs(place) < 2 ** 31 - 16).all() or memory.find(place.astype(np.int32))[0] < 0:
+        raise PersemError(f'{args.file}: nothing was observed at {_point(point)} m'
+                          + _nearest(memory, point))
+    voxel = place.astype(np.int32)
+    print(explanation(stored, voxel, explain(memory, voxel, stored.config().refine)))
+
+
+def _nearest(memory, point):
+    """Return words that name the observed voxel nearest to a point."""
+    import numpy as np
+    if not memory.n_voxels:
+        return '; the map is empty'
+    centres = (memory.voxels()['voxel'] + 0.5) * memory.voxel_size + np.array(memory.origin)
+    distance = np.linalg.norm(centres - point, axis=1)
+    best = int(np.argmin(distance))
+    return f'; the nearest voxel is {distance[best]:.2f} m away at {_point(centres[best])}'
+
+
+def _frames_line(saved):
+    """Return when and by what the map was made."""
+    from datetime import datetime, timezone
+    if not saved.frames:
+        return 'no frames'
+    stamps = [frame.stamp for frame in saved.frames]
+    first, last = (datetime.fromtimestamp(stamp / 1e9, timezone.utc).isoformat(
+        ' ', 'seconds').replace('+00:00', ' UTC') for stamp in (min(stamps), max(stamps)))
+    sensors = sorted({frame.sensor for frame in saved.frames if frame.sensor})
+    sessions = len({frame.session for frame in saved.frames})
+    return (f'{len(stamps)} frames from {first} to {last}, {sessions} '
+            f'session{"s" if sessions > 1 else ""}'
+            + (f', cameras {", ".join(sensors)}' if sensors else ''))
+
+
+def _class_table(stored):
+    """Return the classes by number of voxels, with their sources."""
+    import numpy as np
+    from persem_ros.outputs.cloud import SOURCES
+    from persem_ros.outputs.explanation import names
+    saved, name = stored.saved, names(stored.legend)
+    ids, counts = np.unique(saved.label, return_counts=True)
+    lines = [f'{"id":>5}  {"class":<24}{"voxels":>10}{"share":>8}  '
+             + ''.join(f'{source:>10}' for source in SOURCES)]
+    for k in np.argsort(-counts, kind='stable'):
+        by_source = np.bincount(saved.source[saved.label == ids[k]], minlength=len(SOURCES))
+        lines.append(f'{ids[k]:>5}  {name(ids[k])[:23]:<24}{counts[k]:>10}'
+                     f'{counts[k] / len(saved.label):>8.1%}  '
+                     + ''.join(f'{n:>10}' for n in by_source))
+    return '\n'.join(lines)
+
+
+def _point(xyz):
+    """Return three numbers as text."""
+    return ' '.join(f'{x:.6g}' if abs(x) < 1e5 else f'{x:.2f}' for x in xyz)
