@@ -1,0 +1,107 @@
+"""persem simulate: a recording of a flight over a made-up town and forest."""
+
+import argparse
+
+# Option, field of simulate.flight.Plan or of one of its parts, type, unit, help.
+NUMBERS = (
+    ('--seed', 'seed', int, 'N', 'another world, path and noise; the same seed gives the same '
+                                 'bytes'),
+    ('--frames', 'frames', int, 'N', 'images'),
+    ('--rate', 'rate', float, 'HZ', 'images per second'),
+    ('--height', 'altitude', float, 'M', 'height of flight'),
+    ('--speed', 'speed', float, 'M/S', 'speed of flight'),
+    ('--fov', 'field_of_view', float, 'DEG', 'horizontal field of view'),
+    ('--tilt', 'tilt', float, 'DEG', 'how far the camera looks below the horizon; 90: straight '
+                                     'down'),
+    ('--voxel-scale', 'voxel_scale', float, 'X', 'factor on the voxels that a frame touches, '
+                                                 'through the height of flight'),
+    ('--difficulty', 'mistakes.difficulty', float, 'X', "factor on the segmenter's mistakes; "
+                                                        '0: none'),
+    ('--depth-noise', 'depth_errors.scale', float, 'X', 'factor on noise and holes of the depth; '
+                                                        '0: exact'),
+    ('--pose-noise', 'pose_errors.noise', float, 'M', 'white noise of the recorded positions'),
+    ('--attitude-noise', 'pose_errors.attitude', float, 'DEG', 'white noise of the recorded '
+                                                               'attitude'),
+    ('--pose-drift', 'pose_errors.drift', float, 'M', 'wander of the recorded positions after '
+                                                      '100 m of flight'),
+)
+
+
+def add_parser(subparsers):
+    """Add the sub-command and its options."""
+    parser = subparsers.add_parser(
+        'simulate', help='record a simulated flight over a made-up town and forest',
+        description='Writes a rosbag2 recording of an aircraft over a made-up town and forest: '
+                    'noisy labels and depth, truth, colour, camera info, poses of the body at '
+                    '100 Hz, /tf and the legend. persem replay reads it without further options.',
+        epilog='example: persem simulate flight --frames 300 --seed 7')
+    parser.add_argument('out', metavar='OUT', help='folder of the recording')
+    for option, _, kind, unit, text in NUMBERS:
+        parser.add_argument(option, type=kind, metavar=unit, help=text)
+    parser.add_argument('--size', type=_size, metavar='WxH', help='of the images, in pixels')
+    parser.add_argument('--no-noise', action='store_true',
+                        help='exact labels, depth and poses, whatever the other options say')
+    parser.add_argument('--storage', choices=('mcap', 'sqlite3'), default='mcap',
+                        help='storage of the recording (default: mcap)')
+    parser.add_argument('--compress', action='store_true', help='compress it (Zstandard)')
+    parser.add_argument('--force', action='store_true', help='replace an earlier recording')
+    parser.set_defaults(run=run)
+
+
+def run(args):
+    """Simulate the flight and write the recording."""
+    from pathlib import Path
+    import sys
+    import time
+
+    from tqdm import tqdm
+
+    from persem_ros.errors import PersemError
+    from persem_ros.outputs.recording import RecordingWriter, check_target
+    try:
+        from persem_ros.simulate.flight import Flight
+    except ImportError as error:
+        raise PersemError(f'the simulator needs trimesh and embreex ({error}); install them '
+                          'with: pip install trimesh embreex') from error
+    check_target(Path(args.out), args.force)        # before the world is built
+    begin = time.perf_counter()
+    flight = Flight(plan_of(args))
+
+    def progress(shots):
+        return tqdm(shots, 'simulating', flight.plan.frames, unit=' frames',
+                    disable=not sys.stderr.isatty())
+
+    with RecordingWriter(args.out, args.storage, args.compress, args.force) as writer:
+        flight.record(writer, progress)
+    plan = flight.plan
+    print(f'{plan.frames} frames of {plan.width}x{plan.height}, '
+          f'{plan.frames * plan.speed / plan.rate:.0f} m of flight, in '
+          f'{time.perf_counter() - begin:.1f} s: {args.out}')
+
+
+def plan_of(args):
+    """Return the simulate.flight.Plan of the options; those not given keep their defaults."""
+    from dataclasses import replace
+
+    from persem_ros.simulate.flight import Plan
+    plan = Plan()
+    if args.size:
+        plan = replace(plan, width=args.size[0], height=args.size[1])
+    for option, name, _, _, _ in NUMBERS:
+        value = getattr(args, option[2:].replace('-', '_'))
+        if value is None:
+            continue
+        part, _, field = name.rpartition('.')
+        if part:
+            plan = replace(plan, **{part: replace(getattr(plan, part), **{field: value})})
+        else:
+            plan = replace(plan, **{name: value})
+    return plan.without_errors() if args.no_noise else plan
+
+
+def _size(text):
+    """Return (width, height) of a text like 640x480."""
+    width, cross, height = text.lower().partition('x')
+    if not (cross and width.isdigit() and height.isdigit()):
+        raise argparse.ArgumentTypeError(f'expected WIDTHxHEIGHT, as in 640x480, got {text!r}')
+    return int(width), int(height)

@@ -1,0 +1,1 @@
+"""A simulated flight: world, path, camera and a segmenter that makes mistakes."""

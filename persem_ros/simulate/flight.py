@@ -1,0 +1,246 @@
+"""A whole simulated flight: frames for tests and benchmarks, or a recording."""
+
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from persem_ros.errors import PersemError
+from persem_ros.frames import IGNORED, Frame, pinhole
+from persem_ros.inputs.poses import interpolated
+from persem_ros.legend import load_legend
+from persem_ros.simulate.materials import VOID
+from persem_ros.simulate.path import make_path, rotation
+from persem_ros.simulate.render import Renderer
+from persem_ros.simulate.segmenter import Mistakes, Segmenter
+from persem_ros.simulate.sensor import DepthErrors, PoseErrors, measured, recorded
+from persem_ros.simulate.world import make_world
+
+START = 1_700_000_000_000_000_000       # nanoseconds, stamp of the first pose
+POSE_STEP = 10_000_000                  # nanoseconds between poses: 100 Hz
+FIRST_IMAGE = 103_700_000               # nanoseconds; images never fall on a pose
+MAP, BODY, MOUNT, OPTICAL = 'map', 'base_link', 'camera_link', 'camera_optical_frame'
+
+
+@dataclass(frozen=True)
+class Plan:
+    """
+    What a flight is like.
+
+    Attributes
+    ----------
+    seed : int
+        The same seed and plan give the same bytes.
+    frames : int
+        Number of images.
+    width, height : int
+        Of the images, pixels.
+    rate : float
+        Images per second.
+    altitude : float
+        Height of flight above the river plain, metres.
+    speed : float
+        Metres per second.
+    field_of_view : float
+        Horizontal, degrees.
+    tilt : float
+        How far the camera looks below the horizon, degrees; 90: straight down.
+    voxel_scale : float
+        Factor on the number of voxels that a frame touches: the altitude is multiplied by its
+        root.
+    mistakes : Mistakes
+    depth_errors : DepthErrors
+    pose_errors : PoseErrors
+
+    """
+
+    seed: int = 0
+    frames: int = 150
+    width: int = 480
+    height: int = 360
+    rate: float = 5.0
+    altitude: float = 56.0
+    speed: float = 6.0
+    field_of_view: float = 70.0
+    tilt: float = 60.0
+    voxel_scale: float = 1.0
+    mistakes: Mistakes = Mistakes()
+    depth_errors: DepthErrors = DepthErrors()
+    pose_errors: PoseErrors = PoseErrors()
+
+    @property
+    def flown_altitude(self):
+        """The altitude with the voxel scale in it, metres."""
+        return self.altitude * max(self.voxel_scale, 0.0) ** 0.5
+
+    def without_errors(self):
+        """Return the same flight with exact labels, depth and poses."""
+        return replace(self, mistakes=replace(self.mistakes, difficulty=0.0),
+                       depth_errors=replace(self.depth_errors, scale=0.0),
+                       pose_errors=PoseErrors())
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """One image of the flight: what the sensors say and what is true."""
+
+    stamp: int
+    labels: np.ndarray      # (H, W) uint8
+    truth: np.ndarray       # (H, W) uint8
+    depth: np.ndarray       # (H, W) float32, metres, NaN: none
+    color: np.ndarray       # (H, W, 3) uint8
+
+
+class Flight:
+    """
+    A flight over a made-up town and forest.
+
+    Parameters
+    ----------
+    plan : Plan
+    workers : int
+        Threads that render; the result does not depend on it.
+
+    Raises
+    ------
+    PersemError
+        For a plan that cannot be flown.
+
+    """
+
+    def __init__(self, plan=None, workers=2):
+        plan = Plan() if plan is None else plan
+        _check(plan)
+        self.plan, self.workers = plan, workers
+        self.legend = load_legend('town')
+        focal = plan.width / 2 / np.tan(np.radians(plan.field_of_view) / 2)
+        self.camera = pinhole(plan.width, plan.height, focal, focal, (plan.width - 1) / 2,
+                              (plan.height - 1) / 2, OPTICAL)
+        self.stamps = [START + FIRST_IMAGE + round(i * 1e9 / plan.rate)
+                       for i in range(plan.frames)]
+        count = (self.stamps[-1] - START) // POSE_STEP + 12
+        self.pose_stamps = [START + i * POSE_STEP for i in range(count)]
+        self.path = make_path(np.random.default_rng([plan.seed, 2]), count * POSE_STEP / 1e9,
+                              plan.flown_altitude, plan.speed)
+        self.T_body_mount, self.T_mount_camera = mounting(plan.tilt)
+        self.T_body_camera = self.T_body_mount @ self.T_mount_camera
+        self.poses = recorded([self.body(stamp) for stamp in self.pose_stamps], plan.pose_errors,
+                              np.random.default_rng([plan.seed, 3]))
+        self._segmenter = Segmenter(np.random.default_rng([plan.seed, 4]), plan.mistakes)
+        self._renderer = Renderer(make_world(plan.seed), self.camera)
+
+    def body(self, stamp):
+        """Return the true T_map_body, 4x4, at *stamp* (ns)."""
+        return self.path.body((stamp - START) / 1e9)
+
+    def recorded_camera(self, stamp):
+        """Return T_map_camera, 4x4, at *stamp* (ns), interpolated between recorded poses."""
+        i = (stamp - START) // POSE_STEP
+        fraction = (stamp - self.pose_stamps[i]) / POSE_STEP
+        return interpolated(self.poses[i], self.poses[i + 1], fraction) @ self.T_body_camera
+
+    def shots(self):
+        """Yield the Shot of every image, in order."""
+        if self.workers < 2:
+            yield from map(self.shot, range(self.plan.frames))
+            return
+        with ThreadPoolExecutor(self.workers) as pool:
+            ahead = deque()
+            try:
+                for i in range(self.plan.frames):
+                    ahead.append(pool.submit(self.shot, i))
+                    if len(ahead) > self.workers + 1:
+                        yield ahead.popleft().result()
+                while ahead:
+                    yield ahead.popleft().result()
+            finally:
+                for future in ahead:
+                    future.cancel()
+
+    def frames(self):
+        """Yield every image as a persem_ros.frames.Frame with truth and colour, in order."""
+        for shot in self.shots():
+            labels, truth = (np.where(image == VOID, IGNORED, image.astype(np.int32))
+                             for image in (shot.labels, shot.truth))
+            yield Frame(shot.stamp, labels, shot.depth.astype(np.float64), self.camera,
+                        self.recorded_camera(shot.stamp), frame_id=OPTICAL, encoding='mono8',
+                        truth=truth, color=shot.color)
+
+    def view(self, index):
+        """Return the render.View of image *index*, without any error."""
+        stamp = self.stamps[index]
+        return self._renderer.render(self.body(stamp) @ self.T_body_camera, (stamp - START) / 1e9)
+
+    def shot(self, index):
+        """Return the Shot of image *index*; it does not depend on the others."""
+        rng = np.random.default_rng([self.plan.seed, 5, index])
+        view = self.view(index)
+        origin = (self.body(self.stamps[index]) @ self.T_body_camera)[:3, 3]
+        labels = self._segmenter.labels(view, origin, rng)
+        depth = measured(view, self.plan.depth_errors, rng)
+        return Shot(self.stamps[index], labels, view.labels, depth, view.color)
+
+    def record(self, writer, progress=iter):
+        """
+        Write the flight to a persem_ros.outputs.recording.RecordingWriter.
+
+        Topics are the defaults of the settings. *progress* wraps the iterator of shots.
+
+        """
+        writer.text('/semantic/legend', self.legend.to_yaml(), latched=True)
+        writer.tf(None, BODY, MOUNT, self.T_body_mount, static=True)
+        writer.tf(None, MOUNT, OPTICAL, self.T_mount_camera, static=True)
+        poses = deque(zip(self.pose_stamps, self.poses))
+        for shot in progress(self.shots()):
+            while poses and poses[0][0] <= shot.stamp:
+                _write_pose(writer, *poses.popleft())
+            self._write_shot(writer, shot)
+        for stamp, T in poses:
+            _write_pose(writer, stamp, T)
+
+    def _write_shot(self, writer, shot):
+        plan, stamp = self.plan, shot.stamp
+        writer.camera_info('/depth/camera_info', stamp, OPTICAL, plan.width, plan.height,
+                           self.camera.K, D=[0.0] * 5)
+        writer.image('/color/image', stamp, OPTICAL, shot.color, 'rgb8')
+        writer.image('/depth/image', stamp, OPTICAL, shot.depth, '32FC1')
+        writer.image('/semantic/image', stamp, OPTICAL, shot.labels, 'mono8')
+        writer.image('/semantic/truth', stamp, OPTICAL, shot.truth, 'mono8')
+
+
+def mounting(tilt):
+    """Return (T_body_mount, T_mount_camera): a camera that looks *tilt* degrees down."""
+    T_body_mount, T_mount_camera = np.eye(4), np.eye(4)
+    T_body_mount[:3, :3] = rotation(0.0, np.radians(tilt), 0.0)
+    T_body_mount[:3, 3] = 0.12, 0.0, -0.08
+    T_mount_camera[:3, :3] = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]    # REP-103: optical axes
+    return T_body_mount, T_mount_camera
+
+
+def _write_pose(writer, stamp, T):
+    writer.pose('/pose', stamp, MAP, T, 'Odometry', BODY)
+    writer.tf(stamp, MAP, BODY, T)
+
+
+def _check(plan):
+    """Refuse what cannot be flown."""
+    for name, value, low, high, unit in (
+            ('seed', plan.seed, 0, 2 ** 32, ''),
+            ('frames', plan.frames, 1, 100000, ''),
+            ('width', plan.width, 32, 4096, ' pixels'),
+            ('height', plan.height, 32, 4096, ' pixels'),
+            ('rate', plan.rate, 0.1, 50, ' Hz'),
+            ('voxel scale', plan.voxel_scale, 0.01, 100, ''),
+            ('height of flight (times the root of the voxel scale)', plan.flown_altitude, 40, 150,
+             ' m'),
+            ('speed', plan.speed, 0.1, 30, ' m/s'),
+            ('field of view', plan.field_of_view, 10, 110, ' degrees'),
+            ('tilt', plan.tilt, 25, 90, ' degrees'),
+            ('difficulty', plan.mistakes.difficulty, 0, 10, ''),
+            ('depth noise', plan.depth_errors.scale, 0, 10, ''),
+            ('pose noise', plan.pose_errors.noise, 0, 100, ' m'),
+            ('attitude noise', plan.pose_errors.attitude, 0, 45, ' degrees'),
+            ('pose drift', plan.pose_errors.drift, 0, 100, ' m')):
+        if not low <= value <= high:
+            raise PersemError(f'{name}: expected {low} to {high}{unit}, got {value}')

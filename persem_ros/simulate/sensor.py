@@ -1,0 +1,106 @@
+"""A depth camera's and a pose estimate's errors."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from persem_ros.simulate import materials as mat
+from persem_ros.simulate.path import rotation
+from persem_ros.simulate.segmenter import picture_noise
+
+
+@dataclass(frozen=True)
+class DepthErrors:
+    """
+    How measured depth differs from the true one.
+
+    Attributes
+    ----------
+    scale : float
+        Factor on everything; 0: exact and without holes.
+    floor, square : float
+        The noise's standard deviation is floor + square * depth**2, metres; half of its
+        variance is white, half smooth over the picture, as a matcher's is.
+    edge : float
+        Share of pixels lost beside a depth edge.
+    water : float
+        Share of pixels lost on water.
+    patches : float
+        Share of pixels lost in patches anywhere.
+    max_range : float
+        Farther than that nothing is measured, metres.
+
+    """
+
+    scale: float = 1.0
+    floor: float = 0.02
+    square: float = 1.2e-5
+    edge: float = 0.6
+    water: float = 0.35
+    patches: float = 0.012
+    max_range: float = 180.0
+
+
+def measured(view, errors, rng):
+    """Return the depth image, shape (H, W), float32, metres, NaN without measurement."""
+    depth = view.depth.astype(np.float32)
+    height, width = depth.shape
+    lost = ~(depth <= errors.max_range)
+    if errors.scale > 0:
+        smooth = picture_noise(rng, height, width, 0.02)
+        white = rng.standard_normal((height, width), np.float32)
+        known = np.where(lost, np.float32(errors.max_range), depth)
+        sigma = np.float32(errors.scale) * (errors.floor + errors.square * known ** 2)
+        luck = rng.random((height, width), np.float32)
+        patch = picture_noise(rng, height, width, 0.015)
+        lost |= edges(known) & (luck < errors.edge * min(errors.scale, 1.5))
+        lost |= (view.labels == mat.WATER) & (luck < errors.water * errors.scale) & (patch > -.8)
+        lost |= patch > 2.26 - 0.25 * (errors.scale - 1)    # the normal tail of 1.2 %
+        depth = depth + sigma * np.sqrt(np.float32(0.5)) * (smooth + white)
+    depth[lost] = np.nan
+    return depth
+
+
+def edges(depth):
+    """Return where depth jumps between neighbouring pixels, widened by one, bool (H, W)."""
+    kernel = np.ones((3, 3), np.uint8)
+    return cv2.dilate(depth, kernel) - cv2.erode(depth, kernel) > 0.03 * depth
+
+
+@dataclass(frozen=True)
+class PoseErrors:
+    """
+    How recorded poses of the body differ from the true ones.
+
+    Attributes
+    ----------
+    noise : float
+        Standard deviation of white noise on each coordinate, metres.
+    attitude : float
+        Standard deviation of white noise on roll, pitch and yaw, degrees.
+    drift : float
+        Standard deviation of a slow wander on each coordinate, metres, after 100 m of flight;
+        it grows with the root of the way.
+
+    """
+
+    noise: float = 0.0
+    attitude: float = 0.0
+    drift: float = 0.0
+
+
+def recorded(poses, errors, rng):
+    """Return the list of T_map_body *poses*, in order of time, with *errors* added."""
+    n = len(poses)
+    T = np.stack(poses)
+    way = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1))])
+    steps = rng.standard_normal((n, 3)) * np.sqrt(np.diff(way, prepend=0.0) / 100)[:, None]
+    shift = errors.drift * np.cumsum(steps, axis=0)
+    shift += errors.noise * rng.standard_normal((n, 3))
+    angles = np.radians(errors.attitude) * rng.standard_normal((n, 3))
+    for i in range(n):
+        T[i, :3, 3] += shift[i]
+        if errors.attitude:
+            T[i, :3, :3] = T[i, :3, :3] @ rotation(*angles[i])
+    return list(T)
