@@ -1,13 +1,16 @@
 """What the core's tests share: how many examples, random frames and bridges to the reference."""
 
-import os
+from dataclasses import replace
 from functools import partial
+import math
+import os
 
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 import numpy as np
 import reference as ref
 
+from persem_ros.config import Refine
 from persem_ros.core.memory import VoxelMemory
 from persem_ros.core.observe import Observations
 from persem_ros.frames import UNKNOWN
@@ -58,7 +61,8 @@ def worlds(draw, most_frames=14, shares=None, repeats=True):
     """
     rng = np.random.default_rng(draw(seeds))
     ids = [IDS[i] for i in rng.permutation(len(IDS))[:draw(st.integers(1, len(IDS)))]]
-    shares = shares or draw(st.sampled_from([EXACT, SHARES]))
+    # The most frequent of K ids has a share of 1/K at least.
+    shares = [s for s in shares or draw(st.sampled_from([EXACT, SHARES])) if s >= 1 / len(ids)]
     hit = draw(st.sampled_from([0.2, 0.6, 1.0]))
     corner, size = draw(st.sampled_from(CORNERS)), rng.integers(1, 4, 3)
     cells = [tuple(int(x) for x in np.add(corner, d)) for d in np.ndindex(*size)]
@@ -71,8 +75,28 @@ def worlds(draw, most_frames=14, shares=None, repeats=True):
         seen = {cells[i]: (int(habits[cells[i]] if rng.random() < 0.6 else rng.choice(ids)),
                            float(np.float32(rng.choice(shares))))
                 for i in rng.permutation(len(cells)) if rng.random() < hit}
-        frames.append((stamp, seen, [int(c) for c in rng.choice(ids, 2)]))
+        frames.append((stamp, seen, [int(c) for c in ids]))
     return frames
+
+
+@st.composite
+def refinements(draw, **fixed):
+    """Draw Refine settings: the defaults, round ones that hit thresholds exactly, or any."""
+    kind = draw(st.sampled_from(['default', 'round', 'round', 'any', 'any']))
+    chosen = {'neighbours': draw(st.sampled_from([6, 18, 26])),
+              'min_observations': draw(st.integers(1, 4))}
+    if kind == 'round':
+        quarters, zero = st.sampled_from([0.0, 0.25, 0.5, 0.75, 1.0]), st.just(0.0)
+        chosen |= {'lambda_volatility': 0.0, 'lambda_disagreement': draw(
+            st.sampled_from([0.0, math.log(2)])), 'lambda_gap': 0.0, 'lambda_recency': draw(zero)}
+        chosen |= {name: draw(quarters) for name in ('eta', 'tau_replay', 'tau_context', 'beta')}
+        chosen['gamma'] = draw(st.sampled_from([0.0, 0.5, 1.0]))
+    elif kind == 'any':
+        chosen |= {name: draw(st.floats(low, high)) for name, low, high in (
+            ('eta', 0.0, 1.0), ('lambda_volatility', 0.0, 3.0), ('lambda_disagreement', 0.0, 3.0),
+            ('lambda_gap', 0.0, 0.5), ('gamma', 0.0, 1.0), ('tau_replay', 0.0, 0.5),
+            ('tau_context', 0.0, 0.5), ('lambda_recency', 0.0, 0.5), ('beta', 0.0, 2.0))}
+    return replace(Refine(), **{**chosen, **fixed})
 
 
 def observations(stamp, seen, ids=(), sensor='', unknown=()):
@@ -99,3 +123,10 @@ def reference_of(frames):
     for stamp, seen, ids in frames:
         memory.add(seen, stamp, ids)
     return memory
+
+
+def columns_of(memory):
+    """Return {voxel: (label, source)} as the core's map has it."""
+    columns = memory.voxels()
+    return {tuple(v): (c, s) for v, c, s in zip(
+        columns['voxel'].tolist(), columns['label'].tolist(), columns['source'].tolist())}

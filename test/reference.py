@@ -328,12 +328,12 @@ def selective(memory, voxel, method, rho, settings, max_history=0):
     return majority, MAJORITY
 
 
-def fused(memory, voxel, method, settings):
-    """Section 4: the label of one voxel under a fusion method."""
+def fused(memory, voxel, method, settings, max_history=0):
+    """Section 4: the label of one voxel under a fusion method; of what a bound has kept."""
     majority = memory.majority(voxel)
     if method == 'majority':
         return majority
-    history = memory.histories[voxel]
+    history = memory.histories[voxel][-max_history:]
     score = {}
     for i, (c, s, t) in enumerate(history):
         if method == 'probabilistic':
@@ -361,7 +361,7 @@ def label(memory, method, settings, max_history=0, rho=None):
         One of FUSION and SELECTIVE.
     settings : persem_ros.config.Refine
     max_history : int
-        The newest observations that the replay of section 3 reads per voxel; 0 = all.
+        The newest observations of a voxel that replays and fusion methods read; 0 = all.
     rho : dict, optional
         Class volatility; taken fresh by default.
 
@@ -375,7 +375,7 @@ def label(memory, method, settings, max_history=0, rho=None):
     result = {}
     for voxel, history in memory.histories.items():
         if method in FUSION:
-            result[voxel] = fused(memory, voxel, method, settings), MAJORITY
+            result[voxel] = fused(memory, voxel, method, settings, max_history), MAJORITY
         elif len(history) < settings.min_observations:
             result[voxel] = memory.majority(voxel), MAJORITY
         else:
