@@ -33,15 +33,6 @@ _Loader.add_implicit_resolver(
                r'|[-+]?\.(inf|Inf|INF)$|\.(nan|NaN|NAN)$'), list('-+.0123456789'))
 
 
-def add_arguments(parser):
-    """Give an argparse parser the options --config and --set, for from_args."""
-    parser.add_argument('--config', metavar='FILE',
-                        help="settings as YAML in ROS form; 'persem config' prints one")
-    parser.add_argument('--set', metavar='NAME=VALUE', action='append', default=[],
-                        dest='set_items', help='one setting, for example memory.voxel_size=0.2; '
-                                               'may be given again, wins over --config')
-
-
 def from_args(config_path=None, set_items=(), node=False):
     """
     Return the Config that a command line asks for.

@@ -2,10 +2,10 @@
 
 import os
 from pathlib import Path
+import resource
 import signal
 import subprocess
 import sys
-import time
 
 import persem_ros
 from persem_ros import cli
@@ -33,19 +33,22 @@ def failing(monkeypatch):
 
 
 def test_help_comes_at_once():
-    best = 9.0
+    # processor time of the fastest of five: the machine may be busy with other things
+    seconds = []
     for _ in range(5):
-        begin = time.perf_counter()
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
         result = persem('--help')
-        best = min(best, time.perf_counter() - begin)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        seconds.append(after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime)
     assert result.returncode == 0
     assert all(name in result.stdout for name in cli.COMMANDS)
-    assert best < 0.3       # about 0.07 on an idle machine
+    assert min(seconds) < 0.15
 
 
 def test_help_imports_nothing_heavy():
+    heavy = ('numpy', 'numba', 'cv2', 'rosbags', 'tqdm', 'yaml')
     code = ('import sys; from persem_ros.cli import main; main(["--help"]); '
-            'print([m for m in ("numpy", "numba", "cv2", "rosbags", "tqdm") if m in sys.modules])')
+            f'print([m for m in {heavy} if m in sys.modules])')
     result = subprocess.run([sys.executable, '-c', code], cwd=ROOT, text=True,
                             capture_output=True)
     assert result.stdout.splitlines()[-1] == '[]'

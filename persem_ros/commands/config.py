@@ -1,14 +1,15 @@
 """persem config: print the settings as YAML or as a table."""
 
+from persem_ros.commands import add_settings
+
 
 def add_parser(subparsers):
     """Add the sub-command and its options."""
-    from persem_ros import config_file
     parser = subparsers.add_parser(
         'config', help='print the settings as YAML, to be used with --config',
         description='Prints every setting in force with its meaning, unit and range, as YAML in '
                     'ROS form that the node and the command line read.')
-    config_file.add_arguments(parser)
+    add_settings(parser)
     parser.add_argument('--defaults-node', action='store_true',
                         help="start from the node's defaults")
     parser.add_argument('--markdown', action='store_true',

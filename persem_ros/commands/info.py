@@ -1,16 +1,17 @@
 """persem info: what is in a recording and what a replay would use of it."""
 
+from persem_ros.commands import add_settings
+
 
 def add_parser(subparsers):
     """Add the sub-command and its options."""
-    from persem_ros import config_file
     parser = subparsers.add_parser(
         'info', help='show what is in a recording and what a replay would use',
         description='Lists topics, types, counts, rates, encodings, sizes, frames and stamps of '
                     'a rosbag2 recording, which of them a replay would use, and what is missing, '
                     'as flags to paste. The exit status is 1 when something needed is missing.')
     parser.add_argument('bag', metavar='BAG', help='rosbag2 folder, .mcap or .db3 file')
-    config_file.add_arguments(parser)
+    add_settings(parser)
     parser.set_defaults(run=run)
 
 

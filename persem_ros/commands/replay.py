@@ -1,9 +1,10 @@
 """persem replay: from a recording to a refined map, refined images and metrics."""
 
+from persem_ros.commands import add_settings
+
 
 def add_parser(subparsers):
     """Add the sub-command and its options."""
-    from persem_ros import config_file
     parser = subparsers.add_parser(
         'replay', help='turn a recording into a refined map, refined images and metrics',
         description='Reads a rosbag2 recording of label images, depth and poses, builds and '
@@ -18,7 +19,7 @@ def add_parser(subparsers):
                         help='render each frame from the map as it stood then, as a node does')
     parser.add_argument('--force', action='store_true',
                         help='replace the files of an earlier run in DIR')
-    config_file.add_arguments(parser)
+    add_settings(parser)
     parser.set_defaults(run=run)
 
 
