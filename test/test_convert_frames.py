@@ -561,6 +561,16 @@ def test_refusals_of_files(seven, tmp_path):
     convert_frames(seven, tmp_path / 'out')
 
 
+@pytest.mark.parametrize('change', [
+    lambda data: data[:len(data) // 2], lambda data: data[:-8],
+    lambda data: data[:80] + bytes([data[80] ^ 1]) + data[81:]])
+def test_a_damaged_image_is_one_line(seven, tmp_path, capfd, change):
+    path = seven / 'frame-000005.label.png'
+    path.write_bytes(change(path.read_bytes()))
+    refusal(seven, tmp_path, f'{path.name}: not an image that can be decoded')
+    assert 'libpng' not in capfd.readouterr().err
+
+
 def test_frames_that_do_not_match_are_shown(seven, tmp_path):
     for i, path in enumerate(sorted(seven.glob('*.depth.png'))):
         path.rename(seven / f'other-{i}x.range.png')

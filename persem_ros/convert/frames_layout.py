@@ -135,25 +135,12 @@ def find_frames(folder, options):
     poses = _find_poses(folder, options, keys, own_clock)
     partners = {what: _partners(times, named, list(files[what]), options.tolerance)
                 for what in ('depth', 'color', 'truth') if files[what]}
-    dropped = {'without depth': [], 'without a pose': [], 'with a lost pose (NaN, Inf)': []}
-    items = []
-    for key in keys:
-        if key not in partners['depth']:
-            dropped['without depth'].append(key)
-        elif poses.at(key, times[key]) is None:
-            dropped['with a lost pose (NaN, Inf)' if key in poses.lost
-                    else 'without a pose'].append(key)
-        else:
-            found = {what: (partners[what][key][1], files[what][partners[what][key][0]])
-                     for what in partners if key in partners[what]}
-            items.append(Item(key, times[key], files['labels'][key], *found.pop('depth')[::-1],
-                              found))
+    items = _complete(times, files, partners, poses)
     if not items:
         raise PersemError(
             f'{folder}: no frame is complete: {len(keys)} label files ({some(keys)}), '
             f'{len(files["depth"])} depth files ({some(files["depth"])}), '
             f'{len(poses.by_key) or len(poses.stamps)} poses; names or stamps must match')
-    report_dropped(dropped)
     unused = len(files['depth']) - len(partners['depth'])
     if unused:
         LOG.info('%d depth files have no labels and are not used', unused)
@@ -163,6 +150,26 @@ def find_frames(folder, options):
             raise PersemError(f'frames {one.key} and {two.key} have the same stamp, '
                               f'{one.stamp / 1e9:.9f} s; --stamps says where stamps come from')
     return chosen(items, options.frames, options.every), poses
+
+
+def _complete(times, files, partners, poses):
+    """Return the Items that have depth and a pose; say which frames are left out."""
+    dropped = {'without depth': [], 'without a pose': [], 'with a lost pose (NaN, Inf)': []}
+    items = []
+    for key, stamp in times.items():
+        if key not in partners['depth']:
+            dropped['without depth'].append(key)
+        elif poses.at(key, stamp) is None:
+            dropped['with a lost pose (NaN, Inf)' if key in poses.lost
+                    else 'without a pose'].append(key)
+        else:
+            found = {what: (partner[key][1], files[what][partner[key][0]])
+                     for what, partner in partners.items() if key in partner}
+            depth_stamp, depth = found.pop('depth')
+            items.append(Item(key, stamp, files['labels'][key], depth, depth_stamp, found))
+    if items:
+        report_dropped(dropped)
+    return items
 
 
 def _find(folder, what, pattern):

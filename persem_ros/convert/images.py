@@ -1,11 +1,13 @@
 """Label, depth and colour files as arrays, checked; resizing that keeps pixel centres."""
 
 from pathlib import Path
+import zlib
 
 import cv2
 import numpy as np
 from persem_ros.errors import PersemError
 
+PNG = b'\x89PNG\r\n\x1a\n'
 UNITS = {'m': 1.0, 'cm': 100.0, 'mm': 1000.0}
 LABEL_ENCODINGS = {'u1': 'mono8', 'u2': 'mono16', 'i2': '16SC1', 'i4': '32SC1'}
 
@@ -28,6 +30,8 @@ def read_array(path):
     try:
         if path.suffix == '.npy':
             array = np.load(path, allow_pickle=False)
+        elif _is_broken_png(data):      # the decoder would say so on standard error, too
+            array = None
         else:
             array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except (cv2.error, ValueError, EOFError):
@@ -35,6 +39,21 @@ def read_array(path):
     if array is None or array.size == 0:
         raise PersemError(f'{path}: not an image that can be decoded ({len(data)} bytes)')
     return np.squeeze(array, 2) if array.ndim == 3 and array.shape[2] == 1 else array
+
+
+def _is_broken_png(data):
+    """Whether bytes that begin like a PNG end early or have a wrong checksum."""
+    if not data.startswith(PNG):
+        return False
+    begin = len(PNG)
+    while begin + 12 <= len(data):
+        end = begin + 8 + int.from_bytes(data[begin:begin + 4], 'big')
+        if zlib.crc32(data[begin + 4:end]) != int.from_bytes(data[end:end + 4], 'big'):
+            return True
+        if data[begin + 4:begin + 8] == b'IEND':
+            return False
+        begin = end + 4
+    return True
 
 
 def read_labels(path):
