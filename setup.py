@@ -21,7 +21,7 @@ setup(
         'numba>=0.60',
         'opencv-python-headless>=4.8',
         'pyyaml>=6',
-        'rosbags>=0.11',
+        'rosbags>=0.11.9',
         'tqdm>=4.60',
         # The simulated flight only. Embree has no wheels for Linux on ARM, where the other
         # commands do without it.
