@@ -201,7 +201,14 @@ def test_tf_waits_for_the_slowest_and_knows_gaps():
     buffer.add_tf(at(2.0), turn(0), 'map', 'odom')
     assert buffer.lookup(at(0.42), 'camera') == (None, True, POSE_GAP)
     assert buffer.lookup(at(0.1), 'nowhere') == (None, False, NO_POSE)
-    assert buffer.edges() == ['base_link -> camera', 'map -> odom', 'odom -> base_link']
+    assert "from 'map' to 'nowhere'" in buffer.explain(at(0.1), 'nowhere')
+    assert 'base_link -> camera, map -> odom, odom -> base_link' in buffer.explain(at(0), 'x')
+
+
+def test_the_explanation_names_the_times():
+    text = filled(stamps=(0.0, 0.25)).explain(at(9), 'camera')
+    for part in ('1700000009.000000000', '1700000000.000000000', '1700000000.250000000'):
+        assert part in text
 
 
 def test_tf_below_the_map_only():

@@ -38,12 +38,13 @@ def test_a_recording_becomes_frames(tmp_path, storage, compress):
     assert frames[0].camera is frames[4].camera     # made once
 
 
-@pytest.mark.parametrize('name', ['run.mcap', 'run #5 100%', 'a?b', 'aufnahme ä', 'x.db3', '.bag'])
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
-def test_a_folder_may_be_called_anything(tmp_path, name, storage):
-    path = bags.write(tmp_path / 'bag', storage=storage).rename(tmp_path / name)
-    frames, recording = read(path)
-    assert len(frames) == 5 and not recording.notes
+def test_a_folder_may_be_called_anything(tmp_path, storage):
+    path = bags.write(tmp_path / 'bag', storage=storage)
+    for name in ('run.mcap', 'run #5 100%', 'a?b', 'aufnahme ä', 'x.db3', '.bag'):
+        path = path.rename(tmp_path / name)
+        frames, recording = read(path)
+        assert len(frames) == 5 and not recording.notes
 
 
 @pytest.mark.parametrize('storage, suffix', [('mcap', 'mcap'), ('sqlite3', 'db3')])

@@ -105,6 +105,7 @@ class PoseBuffer:
         self._gap = round(config.pose.max_gap * 1e9)
         self._keep = round(keep * 1e9)
         self._poses = None
+        self._span = None       # smallest and largest stamp of a pose
         self._child = ''
         self._moving = {}       # child -> Track
         self._static = {}       # child -> (parent, T)
@@ -127,6 +128,8 @@ class PoseBuffer:
         if self._poses is None or self._poses.parent != parent:
             self._poses = Track(parent, self._keep)
         self._child = self._settings.child_frame or child
+        first, last = self._span or (stamp, stamp)
+        self._span = min(first, stamp), max(last, stamp)
         return self._poses.add(stamp, T)
 
     def add_tf(self, stamp, T, parent, child):
@@ -179,10 +182,18 @@ class PoseBuffer:
                 '--set pose.extrinsic=[x,y,z,qx,qy,qz,qw], or --set '
                 f'pose.child_frame={frame} if the poses are the camera\'s')
 
-    def edges(self):
-        """Return 'parent -> child' of every transform seen, for messages to the user."""
-        return sorted({f'{track.parent} -> {child}' for child, track in self._moving.items()}
-                      | {f'{parent} -> {child}' for child, (parent, _) in self._static.items()})
+    def explain(self, stamp, frame):
+        """Return the sentence that says why *frame* has no pose at *stamp*."""
+        if self._settings.source == 'tf':
+            edges = sorted({f'{track.parent} -> {child}' for child, track in self._moving.items()}
+                           | {f'{up} -> {child}' for child, (up, _) in self._static.items()})
+            return (f'/tf gives no chain from {self._map!r} to {frame!r} at {_seconds(stamp)}: it '
+                    f'has {", ".join(edges) or "nothing"}')
+        if self._span is None:
+            return 'the pose topic has no pose that can be used'
+        return (f'a frame is at {_seconds(stamp)}, the poses run from {_seconds(self._span[0])} to '
+                f'{_seconds(self._span[1])} and gaps beyond pose.max_gap '
+                f'({self._settings.max_gap:g} s) are not bridged')
 
     def _mount(self, parent, child, frame):
         """Return (T_map_parent, T_child_camera), None where the second is not known."""
@@ -273,3 +284,7 @@ def _extrinsic(values):
     except PersemError:
         raise PersemError(f'pose.extrinsic: expected x y z and a quaternion qx qy qz qw of '
                           f'length 1, got {list(values)}') from None
+
+
+def _seconds(stamp):
+    return f'{stamp // 10**9}.{stamp % 10**9:09d} s'

@@ -73,6 +73,7 @@ class Reading:
         self._buffers = {}      # pose topic -> PoseBuffer
         self._stations = []
         self._ready = []        # matches of all cameras, a heap
+        self._missed = {}       # reason -> what a lookup without a pose was for
         self._window = Window(round(config.sync.max_wait * 1e9), WINDOW_BYTES)
         companions = [kind for kind, wanted in ((TRUTH, truth), (COLOR, color)) if wanted]
         for name, chosen in recording.topics.items():
@@ -91,9 +92,7 @@ class Reading:
             yield from self._leaving(now)
         self._push(self._window.flush(), now)
         yield from self._leaving(now, True)
-        for buffer in self._buffers.values():
-            for key, text in buffer.notes.items():
-                self._recording.note(key, text)
+        self._conclude()
 
     def _add_station(self, name, chosen, companions):
         config = self._recording.config
@@ -169,25 +168,45 @@ class Reading:
         found = poses.lookup(match.stamp, frame_id)
         if found.reason == NO_MOUNT:
             raise PersemError(f'{self._recording.path}: {poses.mount_sentence(frame_id)}')
+        if found.T is None:
+            self._missed[found.reason] = poses, match.stamp, frame_id
         return found
 
     def _frame(self, station, match):
         """Return the decoded frame of a match, None where it cannot be used."""
+        decoded = {}
         try:
-            decoded = {kind: self._source.decode(memoryview(raw.data), raw.type)
-                       for kind, raw in match.items.items()}
+            for kind, raw in match.items.items():
+                try:
+                    decoded[kind] = self._source.decode(memoryview(raw.data), raw.type)
+                except BadMessage as fault:
+                    self._drop(kind, fault)
+                    if kind in (LABELS, DEPTH):
+                        return None
             frame, faults = station.assembler.frame(match, decoded)
         except BadMessage as fault:
-            self._drop(LABELS, fault, True)
+            self._count(fault)
             return None
         for fault in faults:
-            self._drop('', fault, True)
+            self._count(fault)
         return frame
 
-    def _drop(self, role, fault, named=False):
-        reason = fault.reason if named or role == INFO else f'{role}: {fault.reason}'
-        self._dropped[reason] += 1
-        self._recording.examples.setdefault(reason, str(fault))
+    def _drop(self, role, fault):
+        """Count a fault of a message whose reason does not yet say which kind it was."""
+        self._count(fault if role == INFO else BadMessage(f'{role}: {fault.reason}', str(fault)))
+
+    def _count(self, fault):
+        self._dropped[fault.reason] += 1
+        self._recording.examples.setdefault(fault.reason, str(fault))
+
+    def _conclude(self):
+        """Tell the recording what only the end of a reading knows."""
+        for buffer in self._buffers.values():
+            for key, text in buffer.notes.items():
+                self._recording.note(key, text)
+        for reason, (poses, stamp, frame_id) in self._missed.items():
+            if reason in self._dropped:
+                self._recording.examples[reason] = poses.explain(stamp, frame_id)
 
 
 class Window:

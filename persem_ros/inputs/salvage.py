@@ -11,7 +11,7 @@ from typing import NamedTuple
 from urllib.parse import quote
 
 from rosbags.interfaces import ConnectionExtRosbag2
-from rosbags.rosbag2 import Reader
+from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.rosbag2.metadata import parse_qos
 from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
 
@@ -54,6 +54,14 @@ def opened(file):
         except (OSError, sqlite3.Error, ValueError, KeyError, IndexError):
             return None
     return reader if reader.connections else None
+
+
+def _qos(text):
+    """Return the QoS profiles of a topic, none where their text is damaged."""
+    try:
+        return parse_qos(text)
+    except (ReaderError, KeyError, TypeError, AttributeError):
+        return []
 
 
 class Whole(Reader):
@@ -112,16 +120,17 @@ class Mcap:
         while at < end:
             key, at = _text(data, at)
             metadata[key], at = _text(data, at)
-        qos = parse_qos(metadata.get('offered_qos_profiles', ''))
-        return (topic, self._schemas.get(schema, '')), ConnectionExtRosbag2(encoding, qos)
+        ext = ConnectionExtRosbag2(encoding, _qos(metadata.get('offered_qos_profiles', '')))
+        return (topic, self._schemas.get(schema, '')), ext
 
     def _records(self):
         """Yield (kind, data) of the records outside and inside of chunks."""
+        length = self.path.stat().st_size
         with self.path.open('rb') as stream:
             stream.seek(len(MAGIC))
             while len(head := stream.read(9)) == 9:
                 size = int.from_bytes(head[1:], 'little')
-                data = stream.read(min(size, 1 << 32))
+                data = stream.read(min(size, length - stream.tell()))   # the size may be damaged
                 if head[0] == DATA_END:
                     return
                 if head[0] == CHUNK:
@@ -180,7 +189,7 @@ class Sqlite:
             counts[number] = counts.get(number, 0) + 1
         self.connections = [
             Connection(number, name, kind, counts.get(number, 0),
-                       ConnectionExtRosbag2(form, parse_qos(profiles)))
+                       ConnectionExtRosbag2(form, _qos(profiles)))
             for number, name, kind, form, profiles in topics]
 
     def messages(self, connections):
