@@ -41,7 +41,7 @@ ROS = re.compile(r'(rclpy|rosidl_\w+|builtin_interfaces|\w+_msgs|\w+_srvs|tf2_\w
                  r'message_filters|launch\w*|ament_\w+)$')
 CORE_THIRD_PARTY = {'numpy', 'numba'}
 # What the command line may load before it knows the sub-command: 'persem --help' comes at once.
-LIGHT = {'persem_ros.__version__', 'persem_ros.config', 'persem_ros.errors'}
+LIGHT = {'persem_ros.__version__', 'persem_ros.commands', 'persem_ros.config', 'persem_ros.errors'}
 DISTRIBUTIONS = {'cv2': 'opencv-python-headless', 'yaml': 'pyyaml', 'rerun': 'rerun-sdk',
                  'skimage': 'scikit-image', 'sklearn': 'scikit-learn'}
 
