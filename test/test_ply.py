@@ -111,10 +111,10 @@ def test_a_write_that_fails_leaves_the_old_file(tmp_path):
 
 
 def test_what_killed_writers_left_is_removed(tmp_path):
-    (tmp_path / '.file.999999999.partial').write_text('half')
-    (tmp_path / '.file.1.partial').write_text('of a live process')
-    files.write_text(tmp_path / 'file', 'new')
-    assert sorted(p.name for p in tmp_path.iterdir()) == ['.file.1.partial', 'file']
+    (tmp_path / '.a[b].999999999.partial').write_text('half')
+    (tmp_path / '.a[b].1.partial').write_text('of a live process')
+    files.write_text(tmp_path / 'a[b]', 'new')
+    assert sorted(p.name for p in tmp_path.iterdir()) == ['.a[b].1.partial', 'a[b]']
 
 
 def test_refusals_name_the_file(tmp_path):

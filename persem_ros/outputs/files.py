@@ -1,6 +1,7 @@
 """Files that appear under their name only when they are whole."""
 
 from contextlib import contextmanager, suppress
+from glob import escape
 import json
 import os
 from pathlib import Path
@@ -87,7 +88,7 @@ def _sync(path):
 
 def _remove_left_behind(path):
     """Remove what writers of *path* left that were killed."""
-    for left in path.parent.glob(f'.{path.name}.*.partial*'):
+    for left in path.parent.glob(f'.{escape(path.name)}.*.partial*'):
         pid = left.name[len(path.name) + 2:].partition('.')[0]
         if pid.isdigit() and not Path('/proc', pid).exists() and Path('/proc').is_dir():
             with suppress(OSError):
