@@ -15,10 +15,12 @@ setup(
     maintainer_email='persem_ros@users.noreply.github.com',
     license='Apache-2.0',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
+    package_data={f'{NAME}.outputs.report': ['assets/*', 'templates/*']},
     python_requires='>=3.10',
     install_requires=[
-        'numpy>=1.26',
+        'jinja2>=3.1',
         'numba>=0.60',
+        'numpy>=1.26',
         'opencv-python-headless>=4.8',
         'pyyaml>=6',
         'rosbags>=0.11.9',

@@ -84,7 +84,7 @@ def test_ros_dependencies_cover_the_imports_of_the_node(package_xml):
     assert imported | {'rclpy'} <= declared
 
 
-def test_an_installation_finds_its_legends_and_settings(tmp_path):
+def test_an_installation_is_whole(tmp_path):
     pytest.importorskip('pip')
     source, site = tmp_path / 'source', tmp_path / 'site'
     source.mkdir()
@@ -96,6 +96,7 @@ def test_an_installation_finds_its_legends_and_settings(tmp_path):
             shutil.copy(ROOT / name, source / name)
     _run('-m', 'pip', 'install', '--quiet', '--no-deps', '--no-build-isolation',
          '--disable-pip-version-check', '--target', site, source)
+    assert _files(source / 'persem_ros') == _files(site / 'persem_ros')
     shutil.rmtree(source)
     shown = _run('-c', 'import persem_ros.legend as x; print(x.__file__, *x.shipped_legends())',
                  cwd=tmp_path, env={**os.environ, 'PYTHONPATH': str(site)})
@@ -103,6 +104,12 @@ def test_an_installation_finds_its_legends_and_settings(tmp_path):
     assert Path(module).is_relative_to(site)
     assert legends == sorted(path.stem for path in (ROOT / 'config' / 'labels').glob('*.yaml'))
     assert (site / 'share' / 'persem_ros' / 'config' / 'persem.yaml').is_file()
+
+
+def _files(folder):
+    """Return the names of all files below a folder, compiled ones left out."""
+    return {str(path.relative_to(folder)) for path in folder.rglob('*')
+            if path.is_file() and '__pycache__' not in path.parts}
 
 
 def _run(*arguments, **more):
