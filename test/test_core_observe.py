@@ -9,6 +9,7 @@ import reference as ref
 
 from persem_ros.core import jit
 from persem_ros.core.observe import observe
+from persem_ros.errors import PersemError
 from persem_ros.frames import UNKNOWN
 
 EYE = np.eye(4)
@@ -112,11 +113,20 @@ def test_a_thousand_ids_in_one_voxel():
 
 
 def test_points_outside_the_index_range_have_no_place():
-    points = np.array([[1e300, 0, 0], [0, -3e9, 0], [0, 0, 2.0 ** 31], [2e9, -2e9, 2e9]])
+    # The range is a million voxels from the sensor along each axis (21 bits of a key).
+    edge = 2.0 ** 20
+    points = np.array([[1e300, 0, 0], [0, -3e9, 0], [0, 0, edge], [edge - 1, 1 - edge, 5]])
     seen = observe(points, np.ones(4, np.int32), EYE, 1.0)
     assert seen.where.tolist() == [-1, -1, -1, 0]
-    assert seen.voxels.tolist() == [[2000000000, -2000000000, 2000000000]]
+    assert seen.voxels.tolist() == [[2 ** 20 - 1, 1 - 2 ** 20, 5]]
     assert seen.ids.tolist() == [1]
+
+
+def test_a_sensor_too_far_away_for_its_voxels_is_refused():
+    T = EYE.copy()
+    T[0, 3] = 3e9
+    with pytest.raises(PersemError, match='too far away for voxels of 1.0 m'):
+        observe(np.zeros((1, 3)), np.ones(1, np.int32), T, 1.0)
 
 
 def test_large_coordinates_keep_their_precision():

@@ -22,9 +22,11 @@ def add_observations(pools, table, places, labels, confidences, t, max_history, 
     blocks, voxels, links, spills, free, retired, used, starts, changes = pools
     b = np.int64(-1)
     oi, oj, ok = np.int64(1 << 40), np.int64(0), np.int64(0)
+    added = 0
     for p in range(len(labels)):
         rows[p] = -1
-        if labels[p] == UNKNOWN:
+        c = labels[p]
+        if c == UNKNOWN:
             continue
         i, j, k = np.int64(places[p, 0]), np.int64(places[p, 1]), np.int64(places[p, 2])
         if i >> 3 != oi or j >> 3 != oj or k >> 3 != ok:
@@ -33,62 +35,66 @@ def add_observations(pools, table, places, labels, confidences, t, max_history, 
             if b < 0:
                 b = make_block(blocks, used, table, oi, oj, ok)
             blocks[b].dirty = 1
+        cells = blocks[b].cells
         cell = ((i & 7) * SIDE + (j & 7)) * SIDE + (k & 7)
-        v = np.int64(blocks[b].cells[cell]) - 1
+        v = np.int64(cells[cell]) - 1
         if v < 0:
             v = used[VOXELS]
             used[VOXELS] = v + 1
-            blocks[b].cells[cell] = v + 1
+            cells[cell] = v + 1
             blocks[b].count += 1
         rows[p] = v
-        append(voxels, links, spills, free, retired, used, starts, changes,
-               v, labels[p], confidences[p], t, max_history)
+        added += 1
+        voxel = voxels[v]
+        if voxel.n > 0:
+            before = voxel.last
+            starts[before] += 1
+            if before != c:
+                changes[before] += 1
+                voxel.switches += 1
+        n = np.int64(voxel.n)
+        number = np.int64(voxel.tail)
+        if n & (CHUNK - 1) == 0 or number == 0:
+            number = new_link(voxel, links, free, used, n)
+        write(links[number - 1], n & (CHUNK - 1), c, confidences[p], t)
+        if max_history > 0 and n + 1 - np.int64(voxel.first) >= max_history + CHUNK:
+            drop_oldest(voxel, links, retired, used)
+        if not add_here(voxel, c, np.float64(confidences[p])):
+            spill(voxel, spills, used, c, np.float64(confidences[p]))
+        followed = n == 0 or voxel.label == voxel.majority
+        if n == 0 or c != voxel.majority:       # more evidence for the majority keeps it
+            voxel.majority = majority_here(voxel) if voxel.more == 0 else majority(voxel, spills)
+        if followed:        # what no refinement moved follows the majority
+            voxel.label = voxel.majority
+            voxel.source = 0
+        voxel.n = n + 1
+        voxel.last = c
+        voxel.dirty = 1
+    used[OBSERVATIONS] += added
+    used[STORED] += added
 
 
 @inlined
-def append(voxels, links, spills, free, retired, used, starts, changes, v, c, s, t, max_history):
-    """Append observation (c, s, t) to voxel v; its label follows the majority if it did so."""
-    n = np.int64(voxels[v].n)
-    push(voxels, links, free, used, v, n, c, s, t)
-    if max_history > 0 and n + 1 - np.int64(voxels[v].first) >= max_history + CHUNK:
-        drop_oldest(voxels, links, retired, used, v)
-    if n > 0:
-        before = voxels[v].last
-        starts[before] += 1
-        if before != c:
-            changes[before] += 1
-            voxels[v].switches += 1
-    voxels[v].last = c
-    voxels[v].n = n + 1
-    followed = n == 0 or voxels[v].label == voxels[v].majority
-    add_evidence(voxels, spills, used, v, c, np.float64(s))
-    if n == 0 or c != voxels[v].majority:   # more evidence for the majority keeps it
-        voxels[v].majority = majority(voxels, spills, v)
-    if followed:
-        voxels[v].label = voxels[v].majority
-        voxels[v].source = 0
-    voxels[v].dirty = 1
-    used[OBSERVATIONS] += 1
-    used[STORED] += 1
+def write(link, place, c, s, t):
+    """Write an observation to a place of a link."""
+    labels, confidences, times = link.c, link.s, link.t
+    labels[place] = c
+    confidences[place] = s
+    times[place] = t
 
 
 @inlined
-def push(voxels, links, free, used, v, n, c, s, t):
-    """Write observation number n of voxel v at place n % CHUNK of its last link."""
-    place = n % CHUNK
-    link = np.int64(voxels[v].tail)
-    if place == 0 or link == 0:
-        link = take_link(free, used) + 1
-        links[link - 1].next = 0
-        if voxels[v].tail == 0:
-            voxels[v].head = link
-            voxels[v].first = n
-        else:
-            links[np.int64(voxels[v].tail) - 1].next = link
-        voxels[v].tail = link
-    links[link - 1].c[place] = c
-    links[link - 1].s[place] = s
-    links[link - 1].t[place] = t
+def new_link(voxel, links, free, used, n):
+    """Hang a link for observation number n on a voxel's history; return its number + 1."""
+    fresh = take_link(free, used) + 1
+    links[fresh - 1].next = 0
+    if voxel.tail == 0:
+        voxel.head = fresh
+        voxel.first = n
+    else:
+        links[np.int64(voxel.tail) - 1].next = fresh
+    voxel.tail = fresh
+    return fresh
 
 
 @inlined
@@ -103,19 +109,19 @@ def take_link(free, used):
 
 
 @inlined
-def drop_oldest(voxels, links, retired, used, v):
+def drop_oldest(voxel, links, retired, used):
     """
-    Take the first link off voxel v's history.
+    Take the first link off a voxel's history.
 
     It is retired, not freed: a refinement that began earlier may still read it, and follows its
     'next'. release_links() frees what is retired when no refinement is under way.
 
     """
-    link = np.int64(voxels[v].head) - 1
-    voxels[v].head = links[link].next
-    kept = (np.int64(voxels[v].first) // CHUNK + 1) * CHUNK
-    used[STORED] -= kept - np.int64(voxels[v].first)
-    voxels[v].first = kept
+    link = np.int64(voxel.head) - 1
+    voxel.head = links[link].next
+    kept = (np.int64(voxel.first) // CHUNK + 1) * CHUNK
+    used[STORED] -= kept - np.int64(voxel.first)
+    voxel.first = kept
     retired[used[RETIRED]] = link
     used[RETIRED] += 1
 
@@ -130,75 +136,120 @@ def release_links(free, retired, used):
 
 
 @inlined
-def add_evidence(voxels, spills, used, v, c, s):
-    """h_v(c) += s, in float64 and in the order of the observations."""
+def add_here(record, c, s):
+    """
+    h_v(c) += s in a voxel or spill record; False where other classes have all its places.
+
+    Sums are float64 and in the order of the observations.
+
+    """
+    sums, classes = record.sums, record.classes
     for k in range(INLINE):
-        if voxels[v].sums[k] == 0.0:
-            voxels[v].classes[k] = c
-            voxels[v].sums[k] = s
-            return
-        if voxels[v].classes[k] == c:
-            voxels[v].sums[k] += s
-            return
-    link, before = np.int64(voxels[v].more), np.int64(0)
-    while link > 0:
-        for k in range(INLINE):
-            if spills[link - 1].sums[k] == 0.0:
-                spills[link - 1].classes[k] = c
-                spills[link - 1].sums[k] = s
-                return
-            if spills[link - 1].classes[k] == c:
-                spills[link - 1].sums[k] += s
-                return
-        before, link = link, np.int64(spills[link - 1].next)
-    link = used[SPILLS] + 1
-    used[SPILLS] = link
-    spills[link - 1].classes[0] = c
-    spills[link - 1].sums[0] = s
-    if before > 0:
-        spills[before - 1].next = link
-    else:
-        voxels[v].more = link
+        if classes[k] == c and sums[k] != 0.0:
+            sums[k] += s
+            return True
+        if sums[k] == 0.0:
+            classes[k] = c
+            sums[k] = s
+            return True
+    return False
 
 
 @inlined
-def read_evidence(voxels, spills, v, classes, sums, n):
-    """Write voxel v's evidence to classes[n:], sums[n:] in order of appearance; return the end."""
+def spill(voxel, spills, used, c, s):
+    """h_v(c) += s outside the voxel's own record, which has no place for c."""
+    number, before = np.int64(voxel.more), np.int64(0)
+    while number > 0:
+        if add_here(spills[number - 1], c, s):
+            return
+        before, number = number, np.int64(spills[number - 1].next)
+    number = used[SPILLS] + 1
+    used[SPILLS] = number
+    add_here(spills[number - 1], c, s)
+    if before > 0:
+        spills[before - 1].next = number
+    else:
+        voxel.more = number
+
+
+@inlined
+def add_evidence(voxel, spills, used, c, s):
+    """h_v(c) += s."""
+    if not add_here(voxel, c, s):
+        spill(voxel, spills, used, c, s)
+
+
+@inlined
+def _read_here(place, classes, sums, n):
+    """Write the evidence of a voxel or spill record to classes[n:], sums[n:]; return the end."""
+    own_sums, own_classes = place.sums, place.classes
     for k in range(INLINE):
-        if voxels[v].sums[k] != 0.0:
-            classes[n] = voxels[v].classes[k]
-            sums[n] = voxels[v].sums[k]
+        if own_sums[k] != 0.0:
+            classes[n] = own_classes[k]
+            sums[n] = own_sums[k]
             n += 1
-    link = np.int64(voxels[v].more)
-    while link > 0:
-        for k in range(INLINE):
-            if spills[link - 1].sums[k] != 0.0:
-                classes[n] = spills[link - 1].classes[k]
-                sums[n] = spills[link - 1].sums[k]
-                n += 1
-        link = np.int64(spills[link - 1].next)
     return n
 
 
 @inlined
-def majority(voxels, spills, v):
+def read_evidence(voxel, spills, classes, sums, n):
+    """Write a voxel's evidence to classes[n:], sums[n:] in order of appearance; return the end."""
+    n = _read_here(voxel, classes, sums, n)
+    number = np.int64(voxel.more)
+    while number > 0:
+        n = _read_here(spills[number - 1], classes, sums, n)
+        number = np.int64(spills[number - 1].next)
+    return n
+
+
+@inlined
+def count_classes(voxel, spills):
+    """Return the number of classes with evidence in a voxel."""
+    n, sums = 0, voxel.sums
+    for k in range(INLINE):
+        n += sums[k] != 0.0
+    number = np.int64(voxel.more)
+    while number > 0:
+        spilt = spills[number - 1].sums
+        for k in range(INLINE):
+            n += spilt[k] != 0.0
+        number = np.int64(spills[number - 1].next)
+    return n
+
+
+@inlined
+def _most(record, most):
+    """Return the largest of *most* and a record's sums."""
+    sums = record.sums
+    for k in range(INLINE):
+        most = max(most, sums[k])
+    return most
+
+
+@inlined
+def _smallest(record, most, best):
+    """Return the smallest of *best* and the record's ids whose evidence ties with *most*."""
+    sums, classes = record.sums, record.classes
+    for k in range(INLINE):
+        if sums[k] > 0.0 and most - sums[k] <= TIE:
+            best = min(best, np.int64(classes[k]))
+    return best
+
+
+@inlined
+def majority_here(voxel):
+    """Return c_M of a voxel without spilt evidence."""
+    return _smallest(voxel, _most(voxel, 0.0), np.int64(UNKNOWN))
+
+
+@inlined
+def majority(voxel, spills):
     """c_M = argmax h_v; the smaller id wins a tie (spec section 2)."""
-    most = 0.0
-    for k in range(INLINE):
-        most = max(most, voxels[v].sums[k])
-    link = np.int64(voxels[v].more)
-    while link > 0:
-        for k in range(INLINE):
-            most = max(most, spills[link - 1].sums[k])
-        link = np.int64(spills[link - 1].next)
-    best = np.int64(UNKNOWN)
-    for k in range(INLINE):
-        if voxels[v].sums[k] > 0.0 and most - voxels[v].sums[k] <= TIE:
-            best = min(best, np.int64(voxels[v].classes[k]))
-    link = np.int64(voxels[v].more)
-    while link > 0:
-        for k in range(INLINE):
-            if spills[link - 1].sums[k] > 0.0 and most - spills[link - 1].sums[k] <= TIE:
-                best = min(best, np.int64(spills[link - 1].classes[k]))
-        link = np.int64(spills[link - 1].next)
+    most, number = _most(voxel, 0.0), np.int64(voxel.more)
+    while number > 0:
+        most, number = _most(spills[number - 1], most), np.int64(spills[number - 1].next)
+    best, number = _smallest(voxel, most, np.int64(UNKNOWN)), np.int64(voxel.more)
+    while number > 0:
+        best = _smallest(spills[number - 1], most, best)
+        number = np.int64(spills[number - 1].next)
     return best

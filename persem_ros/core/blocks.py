@@ -24,7 +24,8 @@ def find_block(blocks, table, bi, bj, bk):
     place = hash3(bi, bj, bk) & mask
     while table[place] != 0:
         b = np.int64(table[place]) - 1
-        if blocks[b].index[0] == bi and blocks[b].index[1] == bj and blocks[b].index[2] == bk:
+        index = blocks[b].index
+        if index[0] == bi and index[1] == bj and index[2] == bk:
             return b
         place = (place + np.uint64(1)) & mask
     return -1
@@ -81,9 +82,9 @@ def find_voxels(start, stop, blocks, table, voxels, out):
 
 
 @inlined
-def neighbour(blocks, b, cell, d):
+def step(block, cell, d):
     """
-    Return the voxel number + 1 of the neighbour of block b's cell in direction d, or 0.
+    Return (block number + 1 or 0, cell) of the neighbour of a block's cell in direction d.
 
     d = ((dx + 1) * 3 + dy + 1) * 3 + dz + 1, so 0 .. 26 in lexicographic (dx, dy, dz) order.
 
@@ -91,12 +92,9 @@ def neighbour(blocks, b, cell, d):
     x = (cell >> 6) + d // 9 - 1
     y = (cell >> 3 & 7) + d // 3 % 3 - 1
     z = (cell & 7) + d % 3 - 1
-    if 0 <= x < SIDE and 0 <= y < SIDE and 0 <= z < SIDE:
-        return np.int64(blocks[b].cells[(x * SIDE + y) * SIDE + z])
-    other = np.int64(blocks[b].near[(((x >> 3) + 1) * 3 + (y >> 3) + 1) * 3 + (z >> 3) + 1])
-    if other == 0:
-        return np.int64(0)
-    return np.int64(blocks[other - 1].cells[((x & 7) * SIDE + (y & 7)) * SIDE + (z & 7)])
+    near = block.near
+    other = near[(((x >> 3) + 1) * 3 + (y >> 3) + 1) * 3 + (z >> 3) + 1]
+    return np.int64(other), ((x & 7) * SIDE + (y & 7)) * SIDE + (z & 7)
 
 
 @kernel
@@ -106,8 +104,9 @@ def list_voxels(blocks, numbers, block_of, cell_of, voxel_of):
     for b in numbers:
         if blocks[b].count == 0:
             continue
+        cells = blocks[b].cells
         for cell in range(CELLS):
-            v = np.int64(blocks[b].cells[cell])
+            v = np.int64(cells[cell])
             if v:
                 block_of[n] = b
                 cell_of[n] = cell

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from persem_ros.core.append import add_evidence, push, read_evidence
+from persem_ros.core.append import add_evidence, count_classes, new_link, read_evidence, write
 from persem_ros.core.blocks import count_blocks, make_block, new_table
 from persem_ros.core.fusion import link_of
 from persem_ros.core.jit import kernel
@@ -141,9 +141,8 @@ def _listing(memory, order):
 @kernel
 def _class_counts(voxels, spills, number, counts):
     """Write how many classes each voxel has seen."""
-    classes, sums = np.empty(65536, np.uint16), np.empty(65536)
     for r in range(len(number)):
-        counts[r] = read_evidence(voxels, spills, number[r], classes, sums, 0)
+        counts[r] = count_classes(voxels[number[r]], spills)
 
 
 @kernel
@@ -151,17 +150,18 @@ def _read(voxels, links, spills, number, evidence_start, classes, sums, history_
           confidences, times):
     """Copy evidence and histories of the voxels to the columns."""
     for r in range(len(number)):
-        v = number[r]
-        read_evidence(voxels, spills, v, classes, sums, evidence_start[r])
-        n, out = np.int64(voxels[v].n), history_start[r]
+        voxel = voxels[number[r]]
+        read_evidence(voxel, spills, classes, sums, evidence_start[r])
+        n, out = np.int64(voxel.n), history_start[r]
         begin = n - (history_start[r + 1] - history_start[r])
-        link = link_of(links, voxels[v].head, voxels[v].first, begin)
+        link = link_of(links, voxel.head, voxel.first, begin)
         for i in range(begin, n):
             if i > begin and i % CHUNK == 0:
                 link = np.int64(links[link - 1].next)
-            labels[out] = links[link - 1].c[i % CHUNK]
-            confidences[out] = links[link - 1].s[i % CHUNK]
-            times[out] = links[link - 1].t[i % CHUNK]
+            record = links[link - 1]
+            labels[out] = record.c[i % CHUNK]
+            confidences[out] = record.s[i % CHUNK]
+            times[out] = record.t[i % CHUNK]
             out += 1
 
 
@@ -177,11 +177,13 @@ def _write(pools, table, index, block_start, cell, observations, evidence_start,
             blocks[made].cells[np.int64(cell[v])] = v + 1
             blocks[made].count += 1
             for e in range(evidence_start[v], evidence_start[v + 1]):
-                add_evidence(voxels, spills, used, v, classes[e], sums[e])
+                add_evidence(voxels[v], spills, used, classes[e], sums[e])
             n = np.int64(observations[v]) - (history_start[v + 1] - history_start[v])
             for h in range(history_start[v], history_start[v + 1]):
-                push(voxels, links, free, used, v, n, labels[h], confidences[h],
-                     np.int64(times[h]))
+                if n % CHUNK == 0 or voxels[v].tail == 0:
+                    new_link(voxels[v], links, free, used, n)
+                write(links[np.int64(voxels[v].tail) - 1], n % CHUNK, labels[h], confidences[h],
+                      times[h])
                 n += 1
             voxels[v].n = n
     used[VOXELS] = len(cell)

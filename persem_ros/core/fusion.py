@@ -11,6 +11,10 @@ MODES = {'unweighted': UNWEIGHTED, 'recency': RECENCY, 'consensus': CONSENSUS,
          'probabilistic': PROBABILISTIC}
 
 
+# Scratch of one thread, as core.selection.SCRATCH.
+VOTES = np.dtype([('ids', 'u2', 65536), ('sums', 'f8', 65536)])
+
+
 @inlined
 def winner(classes, sums, n, preferred):
     """
@@ -65,18 +69,15 @@ def link_of(links, head, first, i):
 
 
 @kernel
-def fuse(begin, end, links, start, snapshot_classes, majority, observations, first, head, mode,
-         max_history, decay, beta, n_ids, labels):
+def fuse(begin, end, scratch, links, start, snapshot_classes, majority, observations, first, head,
+         mode, max_history, decay, beta, n_ids, labels):
     """
     Label rows begin .. end of a snapshot by weighted votes of their observations.
 
     decay is lambda_r per frame, n_ids is K of the probabilistic method.
 
     """
-    most = 1
-    for r in range(begin, end):
-        most = max(most, start[r + 1] - start[r])
-    classes, sums = np.empty(most, np.int64), np.empty(most)
+    classes, sums = scratch[0].ids, scratch[0].sums
     for r in range(begin, end):
         c_M = np.int64(majority[r])
         if start[r + 1] - start[r] == 1:
@@ -90,13 +91,14 @@ def fuse(begin, end, links, start, snapshot_classes, majority, observations, fir
         for i in range(at, n):
             if i > at and i % CHUNK == 0:
                 link = np.int64(links[link - 1].next)
-            c = np.int64(links[link - 1].c[i % CHUNK])
-            s = np.float64(links[link - 1].s[i % CHUNK])
+            ids, confidences, times = links[link - 1].c, links[link - 1].s, links[link - 1].t
+            c = np.int64(ids[i % CHUNK])
+            s = np.float64(confidences[i % CHUNK])
             weight = s
             if mode == UNWEIGHTED:
                 weight = 1.0
             elif mode == RECENCY or mode == CONSENSUS:
-                weight = s * np.exp(-decay * (newest - np.int64(links[link - 1].t[i % CHUNK])))
+                weight = s * np.exp(-decay * (newest - np.int64(times[i % CHUNK])))
                 if mode == CONSENSUS and i > at and winner(classes, sums, n_classes, c_M) == c:
                     weight *= 1.0 + beta
             elif n_ids >= 2:

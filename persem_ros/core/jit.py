@@ -37,8 +37,9 @@ def inlined(function):
     """
     Compile *function* into the kernels that call it.
 
-    Without this the thirty arrays of core.pools.Pools are passed one by one at every call,
-    which made adding a frame 10 times slower.
+    On hot paths hand it records (voxels[v]) and their arrays, not whole arrays: numba counts two
+    references for each array argument of each call, 35 ns for the three that pushing an
+    observation would need, against 3 ns for the work itself.
 
     """
     return numba.njit(nogil=True, error_model='numpy', forceinline=True)(function)

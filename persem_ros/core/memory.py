@@ -218,7 +218,7 @@ def share(start, stop, voxels, spills, number, label, out):
     classes = np.empty(65536, np.uint16)
     sums = np.empty(65536)
     for p in range(start, stop):
-        n = read_evidence(voxels, spills, number[p], classes, sums, 0)
+        n = read_evidence(voxels[number[p]], spills, classes, sums, 0)
         total, own = 0.0, 0.0
         for k in range(n):
             total += sums[k]
@@ -230,7 +230,7 @@ def share(start, stop, voxels, spills, number, label, out):
 @kernel
 def evidence_of(voxels, spills, v, classes, sums):
     """Write one voxel's evidence to the front of two arrays; return how much."""
-    return read_evidence(voxels, spills, v, classes, sums, 0)
+    return read_evidence(voxels[v], spills, classes, sums, 0)
 
 
 def voxel_index(m, block, cell):

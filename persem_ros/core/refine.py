@@ -108,14 +108,14 @@ def labelled(memory, taken, method, settings, rho, n_ids):
     n, links = taken.refined, memory.m.links
     labels, sources = taken.majority[:n].copy(), np.zeros(n, np.uint8)
     if method in fusion.MODES:
-        split(fusion.fuse, n, links, taken.start, taken.classes, taken.majority,
+        split(_with(fusion.fuse, fusion.VOTES), n, links, taken.start, taken.classes, taken.majority,
               taken.observations, taken.first, taken.head, fusion.MODES[method],
               memory.max_history, float(settings.lambda_recency), float(settings.beta), n_ids,
               labels)
     elif method in selection.METHODS:
         anchor, then = selection.METHODS[method]
         gap = np.exp(-settings.lambda_gap * np.arange(selection.GAPS))
-        split(selection.select, n, memory.m.blocks, links, taken.block, taken.cell, taken.row,
+        split(_with(selection.select, selection.SCRATCH), n, memory.m.blocks, links, taken.block, taken.cell, taken.row,
               taken.start, taken.classes, taken.shares, taken.majority, taken.observations,
               taken.first, taken.head, directions(settings.neighbours), anchor, then,
               int(settings.min_observations), float(settings.eta),
@@ -126,6 +126,11 @@ def labelled(memory, taken, method, settings, rho, n_ids):
     elif method != 'majority':
         raise ValueError(f'{method!r} is not a method on voxels')
     return labels, sources
+
+
+def _with(function, scratch):
+    """Return *function* with a scratch record of its own for each slice of the work."""
+    return lambda begin, end, *arguments: function(begin, end, np.zeros(1, scratch), *arguments)
 
 
 @kernel

@@ -3,7 +3,7 @@
 import numpy as np
 
 from persem_ros.core.append import TIE
-from persem_ros.core.blocks import directions, neighbour
+from persem_ros.core.blocks import directions, step
 from persem_ros.core.jit import kernel, split
 from persem_ros.core.snapshot import take
 
@@ -52,7 +52,10 @@ def _classify(begin, end, blocks, voxels, block, cell, number, start, shares, ne
             elif p > second:
                 second = p
         for d in neighbours:
-            u = neighbour(blocks, block[r], cell[r], d)
+            other, place = step(blocks[block[r]], cell[r], d)
+            if other == 0:
+                continue
+            u = np.int64(blocks[other - 1].cells[place])
             if u > 0 and voxels[u - 1].majority != voxels[v].majority:
                 boundary = 1
                 break

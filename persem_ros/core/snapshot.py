@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from persem_ros.core.append import read_evidence
-from persem_ros.core.blocks import list_voxels, neighbour
-from persem_ros.core.jit import inlined, kernel, split
-from persem_ros.core.pools import CELLS, INLINE
+from persem_ros.core.append import count_classes, read_evidence
+from persem_ros.core.blocks import list_voxels, step
+from persem_ros.core.jit import kernel, split
+from persem_ros.core.pools import CELLS
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,15 +118,20 @@ def _around(blocks, numbers, n_blocks):
 def _mark(numbers, blocks, voxels, neighbours, marks):
     """Mark the changed voxels of the given blocks and their neighbours."""
     for b in numbers:
+        block = blocks[b]
+        cells = block.cells
         for cell in range(CELLS):
-            v = np.int64(blocks[b].cells[cell]) - 1
+            v = np.int64(cells[cell]) - 1
             if v < 0 or voxels[v].dirty == 0:
                 continue
             marks[v] = 1
             for d in neighbours:
-                u = neighbour(blocks, b, cell, d)
-                if u > 0:
-                    marks[u - 1] = 1
+                other, place = step(block, cell, d)
+                if other > 0:
+                    beside = blocks[other - 1].cells
+                    u = np.int64(beside[place])
+                    if u > 0:
+                        marks[u - 1] = 1
 
 
 @kernel
@@ -134,31 +139,18 @@ def _settle(numbers, blocks, voxels):
     """Clear the marks of change in the given blocks."""
     for b in numbers:
         blocks[b].dirty = 0
+        cells = blocks[b].cells
         for cell in range(CELLS):
-            v = np.int64(blocks[b].cells[cell])
+            v = np.int64(cells[cell])
             if v > 0:
                 voxels[v - 1].dirty = 0
-
-
-@inlined
-def _classes(voxels, spills, v):
-    """Return the number of classes with evidence in voxel v."""
-    n = 0
-    for k in range(INLINE):
-        n += voxels[v].sums[k] != 0.0
-    link = np.int64(voxels[v].more)
-    while link > 0:
-        for k in range(INLINE):
-            n += spills[link - 1].sums[k] != 0.0
-        link = np.int64(spills[link - 1].next)
-    return n
 
 
 @kernel
 def _count(begin, end, voxels, spills, number, counts):
     """Write how many classes each voxel has seen."""
     for r in range(begin, end):
-        counts[r] = _classes(voxels, spills, number[r])
+        counts[r] = count_classes(voxels[number[r]], spills)
 
 
 @kernel
@@ -166,14 +158,14 @@ def _copy(begin, end, voxels, spills, number, start, classes, shares, majority, 
           first, head):
     """Copy what the snapshot holds of each voxel."""
     for r in range(begin, end):
-        v = number[r]
-        read_evidence(voxels, spills, v, classes, shares, start[r])
+        voxel = voxels[number[r]]
+        read_evidence(voxel, spills, classes, shares, start[r])
         total = 0.0
         for e in range(start[r], start[r + 1]):
             total += shares[e]
         for e in range(start[r], start[r + 1]):
             shares[e] /= total
-        majority[r] = voxels[v].majority
-        observations[r] = voxels[v].n
-        first[r] = voxels[v].first
-        head[r] = voxels[v].head
+        majority[r] = voxel.majority
+        observations[r] = voxel.n
+        first[r] = voxel.first
+        head[r] = voxel.head
