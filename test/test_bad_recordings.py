@@ -2,13 +2,12 @@
 
 import bags
 import numpy as np
-import pytest
-
 from persem_ros.config import Config, updated
 from persem_ros.errors import PersemError
 from persem_ros.inputs import messages
 from persem_ros.inputs.recording import Recording
 from persem_ros.outputs.recording import RecordingWriter
+import pytest
 
 IMAGE = 'sensor_msgs/msg/Image'
 
@@ -361,6 +360,7 @@ def test_a_clock_that_jumps_by_hours(tmp_path):
 
 def test_a_damaged_message_is_counted(tmp_path):
     class Broken(RecordingWriter):
+
         def _write(self, connection, stamp, data):
             if connection.topic == '/semantic/image' and stamp == bags.stamp(2):
                 data = bytes(data)[:40]

@@ -1,15 +1,14 @@
 """Camera infos: scaling, binning, region of interest, distortion, and what is refused."""
 
+import bags
 import cv2
 import numpy as np
-import pytest
-from rosbags.typesys import Stores, get_typestore
-
-import bags
 from persem_ros.frames import pinhole
 from persem_ros.inputs.camera import camera, check, content, same_aspect
 from persem_ros.inputs.messages import BadMessage
 from persem_ros.outputs.messages import MessageFactory
+import pytest
+from rosbags.typesys import get_typestore, Stores
 
 MAKE = MessageFactory(get_typestore(Stores.ROS2_JAZZY).types)
 K = np.array([[520.0, 0, 318.2], [0, 515.0, 241.7], [0, 0, 1]])

@@ -6,10 +6,9 @@ import sys
 import bags
 import cv2
 import numpy as np
-import pytest
-
 from persem_ros.cli import main
 from persem_ros.outputs.recording import RecordingWriter
+import pytest
 
 
 def report(capsys, *arguments):

@@ -5,14 +5,13 @@ from types import SimpleNamespace
 import bags
 import cv2
 import numpy as np
-import pytest
-from rosbags.typesys import Stores, get_typestore
-
 from persem_ros.core.geometry import transform
 from persem_ros.inputs import messages
 from persem_ros.inputs.compressed import rvl_decode
 from persem_ros.inputs.messages import BadMessage
 from persem_ros.outputs.messages import MessageFactory
+import pytest
+from rosbags.typesys import get_typestore, Stores
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 MAKE = MessageFactory(STORE.types)

@@ -1,14 +1,13 @@
 """Poses: interpolation between neighbours, frames, gaps, and what may still come."""
 
-import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
+import numpy as np
 from persem_ros.config import Config, updated
 from persem_ros.core.geometry import inverse, matrix_to_quaternion, slerp, transform
 from persem_ros.errors import PersemError
 from persem_ros.inputs.poses import NO_MOUNT, NO_POSE, POSE_GAP, PoseBuffer
+import pytest
 
 SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND

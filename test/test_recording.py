@@ -4,14 +4,13 @@ import shutil
 
 import bags
 import numpy as np
-import pytest
-
 from persem_ros.config import Config, updated
 from persem_ros.core.geometry import transform
 from persem_ros.errors import PersemError
 from persem_ros.frames import pinhole
 from persem_ros.inputs.recording import Recording
 from persem_ros.outputs.recording import RecordingWriter
+import pytest
 
 
 def read(path, values=None, **wanted):
@@ -141,6 +140,7 @@ def test_poses_from_tf(tmp_path):
 def renamed(path, names):
     """Write the usual recording with other topic names."""
     class Renaming(RecordingWriter):
+
         def message(self, topic, *args, **kwargs):
             super().message(names.get(topic, topic), *args, **kwargs)
 

@@ -1,13 +1,12 @@
 """The synchroniser: who belongs to whom, who leaves when, who is dropped and why."""
 
-import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
+import numpy as np
 from persem_ros.config import Sync
 from persem_ros.inputs.poses import Lookup
-from persem_ros.inputs.sync import COLOR, DEPTH, LABELS, TRUTH, Synchronizer
+from persem_ros.inputs.sync import COLOR, DEPTH, LABELS, Synchronizer, TRUTH
+import pytest
 
 MS = 1_000_000
 T = np.eye(4)
@@ -265,7 +264,8 @@ def test_companions_that_do_not_come_do_not_drop_the_frame():
     assert d.advance(1000) == [(300, 300)] and not d.sync.dropped
 
 
-@given(st.permutations([(kind, stamp) for kind in (LABELS, DEPTH) for stamp in range(0, 600, 100)]))
+@given(st.permutations([(kind, stamp) for kind in (LABELS, DEPTH)
+                        for stamp in range(0, 600, 100)]))
 def test_any_order_of_arrival_within_the_wait_leaves_in_stamp_order(messages):
     """What has an exact partner is never lost but to a later stamp that has left already."""
     d = Driver()

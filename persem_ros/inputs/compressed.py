@@ -13,6 +13,7 @@ import numba
 import numpy as np
 
 HEADER = 12         # compressedDepth: int32 format, float32 A, float32 B
+PLAIN = ('png', '16uc1; png', '16uc1; png compressed')     # depth without that header
 SIZE = 8            # RVL: uint32 columns, uint32 rows
 
 
@@ -58,11 +59,11 @@ def depth(form, data):
         Millimetres (16UC1) or metres (32FC1).
 
     """
-    if 'compressedDepth' not in form and form.strip().lower() not in ('png', '16uc1; png',
-                                                                       '16uc1; png compressed'):
+    deep = 'compressedDepth' in form
+    if not deep and form.strip().lower() not in PLAIN:
         raise ValueError(f'format {form!r}', f'a compressed depth image has the format {form!r}, '
                          "expected '16UC1; compressedDepth png', '... rvl' or 'png'")
-    if 'compressedDepth' not in form:
+    if not deep:
         image = _imdecode(data, cv2.IMREAD_UNCHANGED, form)
         if image.ndim != 2 or image.dtype != np.uint16:
             raise ValueError('depth PNG not 16 bit', f'a depth PNG has {image.dtype} pixels of '

@@ -8,7 +8,7 @@ from persem_ros.inputs.assemble import Assembler
 from persem_ros.inputs.camera import same_aspect
 from persem_ros.inputs.messages import BadMessage
 from persem_ros.inputs.poses import PoseBuffer
-from persem_ros.inputs.topics import COMPRESSED, IMAGE, INFO, NEEDED, POSES, TF, first_messages
+from persem_ros.inputs.topics import COMPRESSED, first_messages, IMAGE, INFO, NEEDED, POSES, TF
 
 STAMPED = {IMAGE, COMPRESSED, INFO, *POSES.values()}
 PLAUSIBLE = 400 * 365 * 86400 * 10**9       # ns; times beyond are shown as numbers
@@ -20,7 +20,7 @@ class Row:
     """What one topic holds; stamps are header stamps where the type has a header."""
 
     name: str
-    type: str
+    msgtype: str
     count: int = 0
     encoding: str = ''
     size: str = ''
@@ -65,7 +65,7 @@ def survey(source, progress=iter):
         By topic name.
 
     """
-    rows = {(t.name, t.type): Row(t.name, t.type) for t in source.topics}
+    rows = {(t.name, t.msgtype): Row(t.name, t.msgtype) for t in source.topics}
     names = {t.name for t in source.topics}
     for name, kind, time, data in progress(source.messages(names)):
         row = rows[name, kind]
@@ -130,7 +130,7 @@ def text(source, rows, choice, lacking):
     lines += [f'note: {note}' for note in source.notes]
     for camera, chosen in choice.cameras.items():
         lines.append(f'a replay would use{f" for camera {camera}" if camera else ""}:')
-        lines += [f'  {kind:<12} {topic.name} ({_short(topic.type)})'
+        lines += [f'  {kind:<12} {topic.name} ({_short(topic.msgtype)})'
                   for kind, topic in chosen.items()]
     lines += [f'  {kind:<12} {topic.name}' for kind, topics in (
         ('tf', choice.tf if 'pose' not in next(iter(choice.cameras.values())) else []),
@@ -147,12 +147,12 @@ def _describe(row, msg):
         getattr(msg, 'distortion_model', '')
     if hasattr(msg, 'width') and hasattr(msg, 'height'):
         row.size = f'{msg.width}x{msg.height}'
-    elif row.type == COMPRESSED:
+    elif row.msgtype == COMPRESSED:
         row.size = _compressed_size(msg)
     if hasattr(msg, 'header'):
         row.frame = msg.header.frame_id
         row.frame += f' -> {msg.child_frame_id}' if getattr(msg, 'child_frame_id', '') else ''
-    elif row.type == TF and msg.transforms:
+    elif row.msgtype == TF and msg.transforms:
         first = msg.transforms[0]
         row.frame = f'{first.header.frame_id} -> {first.child_frame_id}'
 
@@ -213,7 +213,7 @@ def _cells(row, start):
     times = [f'{(stamp - start) / 1e9:+.3f}' if stamp is not None else ''
              for stamp in (row.first, row.last)]
     rate = f'{row.rate:.1f}' if row.rate else ''
-    return (row.name, _short(row.type), str(row.count), rate, row.encoding, row.size, row.frame,
+    return (row.name, _short(row.msgtype), str(row.count), rate, row.encoding, row.size, row.frame,
             *times, ', '.join(remarks))
 
 

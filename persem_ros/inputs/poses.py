@@ -180,15 +180,15 @@ class PoseBuffer:
         return (f'the poses place the frame {self._child!r}, the images are in {frame!r}, and '
                 f'/tf_static ({known or "empty"}) does not connect them; give the mounting with '
                 '--set pose.extrinsic=[x,y,z,qx,qy,qz,qw], or --set '
-                f'pose.child_frame={frame} if the poses are the camera\'s')
+                f'pose.child_frame={frame} if the poses place the camera itself')
 
     def explain(self, stamp, frame):
         """Return the sentence that says why *frame* has no pose at *stamp*."""
         if self._settings.source == 'tf':
             edges = sorted({f'{track.parent} -> {child}' for child, track in self._moving.items()}
                            | {f'{up} -> {child}' for child, (up, _) in self._static.items()})
-            return (f'/tf gives no chain from {self._map!r} to {frame!r} at {_seconds(stamp)}: it '
-                    f'has {", ".join(edges) or "nothing"}')
+            return (f'at {_seconds(stamp)} /tf gives no chain from {self._map!r} to {frame!r}: '
+                    f'{", ".join(edges) or "it is empty"}')
         if self._span is None:
             return 'the pose topic has no pose that can be used'
         return (f'a frame is at {_seconds(stamp)}, the poses run from {_seconds(self._span[0])} to '
@@ -213,8 +213,8 @@ class PoseBuffer:
         if child in ('', frame):
             if self._extrinsic is not None:
                 self.notes['extrinsic'] = (
-                    'pose.extrinsic is not used: the poses name no frame other than the '
-                    'camera\'s; --set pose.child_frame=base_link says that they are the body\'s')
+                    'pose.extrinsic is not used: the poses name no frame but that of the camera; '
+                    '--set pose.child_frame=base_link says that they place the body')
             return before, np.eye(4)
         after = self._extrinsic
         if after is None:

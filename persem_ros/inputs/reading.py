@@ -10,12 +10,12 @@ from persem_ros.inputs import messages
 from persem_ros.inputs.assemble import Assembler
 from persem_ros.inputs.messages import BadMessage
 from persem_ros.inputs.poses import NO_MOUNT, PoseBuffer
-from persem_ros.inputs.sync import COLOR, DEPTH, LABELS, TRUTH, Synchronizer
+from persem_ros.inputs.sync import COLOR, DEPTH, LABELS, Synchronizer, TRUTH
 
 ORDER = {TRUTH: 0, COLOR: 1, DEPTH: 2, LABELS: 3}   # at one stamp: whatever completes goes last
 INFO, POSE, TF = 'camera_info', 'pose', 'tf'
 WINDOW_BYTES = 64 << 20
-QUEUE_BYTES = 128 << 20
+QUEUE_BYTES = 256 << 20
 POSE_WAIT = 30.0        # s; a recording loses nothing by waiting, but memory is bounded
 POSES_KEPT = 300.0      # s
 
@@ -23,7 +23,7 @@ POSES_KEPT = 300.0      # s
 class Raw(NamedTuple):
     """An image that has not been decoded: most of those without a partner never are."""
 
-    type: str
+    msgtype: str
     data: bytes
     frame_id: str
 
@@ -178,7 +178,7 @@ class Reading:
         try:
             for kind, raw in match.items.items():
                 try:
-                    decoded[kind] = self._source.decode(memoryview(raw.data), raw.type)
+                    decoded[kind] = self._source.decode(memoryview(raw.data), raw.msgtype)
                 except BadMessage as fault:
                     self._drop(kind, fault)
                     if kind in (LABELS, DEPTH):

@@ -9,6 +9,7 @@ from persem_ros.inputs.assemble import Assembler
 from persem_ros.inputs.messages import BadMessage
 from persem_ros.inputs.reading import Reading
 from persem_ros.inputs.source import Source
+from persem_ros.inputs.sync import UNUSED
 from persem_ros.inputs.topics import Choice
 
 
@@ -122,7 +123,7 @@ class Recording:
 
     def _nothing(self):
         """Return the sentence that says why no frame could be made."""
-        reasons = [(n, reason) for reason, n in self.dropped.items() if reason != 'depth: no labels']
+        reasons = [(n, reason) for reason, n in self.dropped.items() if reason != UNUSED]
         if not reasons:
             return f'{self.path} has no label images that could make a frame'
         counted = ', '.join(f'{reason} ({n})' for n, reason in sorted(reasons, reverse=True))
@@ -170,4 +171,3 @@ class Recording:
                 return infos
         missing = ' and '.join(sorted(names - set(infos)))
         raise PersemError(f'{self.path}: {missing} has no camera info that can be read')
-

@@ -5,8 +5,8 @@ Both readers look like those of rosbags: connections, messages(connections), clo
 
 """
 
-import sqlite3
 from pathlib import Path
+import sqlite3
 from typing import NamedTuple
 from urllib.parse import quote
 
@@ -22,7 +22,7 @@ SCHEMA, CHANNEL, MESSAGE, CHUNK, DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0F
 class Connection(NamedTuple):
     """The part of rosbags' Connection that a Source looks at."""
 
-    id: int
+    number: int
     topic: str
     msgtype: str
     msgcount: int
@@ -100,7 +100,7 @@ class Mcap:
 
     def messages(self, connections):
         """Yield (connection, time, data) as far as the file goes."""
-        chosen = {connection.id: connection for connection in connections}
+        chosen = {connection.number: connection for connection in connections}
         for kind, data in self._records():
             if kind == MESSAGE:
                 connection = chosen.get(int.from_bytes(data[:2], 'little'))
@@ -194,7 +194,7 @@ class Sqlite:
 
     def messages(self, connections):
         """Yield (connection, time, data) as far as the file goes."""
-        chosen = {connection.id: connection for connection in connections}
+        chosen = {connection.number: connection for connection in connections}
         for number, time, data in self._rows('topic_id, timestamp, data'):
             if number in chosen:
                 yield chosen[number], time, data

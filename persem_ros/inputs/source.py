@@ -4,14 +4,13 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from rosbags.interfaces import QosDurability
-from rosbags.rosbag2 import Reader
-from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, get_typestore
-
 from persem_ros.errors import PersemError
 from persem_ros.inputs import salvage
 from persem_ros.inputs.messages import BadMessage
+from rosbags.interfaces import QosDurability
+from rosbags.rosbag2 import Reader
+from rosbags.serde import SerdeError
+from rosbags.typesys import get_typestore, Stores
 
 SUFFIXES = ('.mcap', '.db3')
 ZSTD = b'\x28\xb5\x2f\xfd'      # a message of a recording with message compression, whose
@@ -22,7 +21,7 @@ class TopicInfo(NamedTuple):
     """A topic of a recording; a topic with two types is two of them."""
 
     name: str
-    type: str           # 'sensor_msgs/msg/Image'
+    msgtype: str        # 'sensor_msgs/msg/Image'
     count: int
     latched: bool = False
 

@@ -42,7 +42,7 @@ class Match:
     arrival: int = 0
     complete: int = None        # when the depth image was found
     size: int = 0
-    open: set = field(default_factory=set)
+    missing: set = field(default_factory=set)
 
 
 @dataclass(order=True)
@@ -173,7 +173,7 @@ class Synchronizer:
             self._latest[kind] = stamp
         i = bisect_left(self._matches, stamp, key=_stamp)
         if i < len(self._matches) and self._matches[i].stamp == stamp:
-            if kind in self._matches[i].open:
+            if kind in self._matches[i].missing:
                 self._join(self._matches[i], kind, waiting, now)
                 return True
             self.dropped[f'{kind}: {REPEATED}'] += 1
@@ -189,7 +189,7 @@ class Synchronizer:
     def _join(self, match, kind, waiting, now):
         match.items[kind] = waiting.item
         match.size += waiting.size
-        match.open.discard(kind)
+        match.missing.discard(kind)
         if kind == DEPTH:
             match.complete = now
 
@@ -197,17 +197,17 @@ class Synchronizer:
         """Give label images without an exact partner the nearest one, where that is decided."""
         for match in self._matches:
             waited = now - match.arrival >= self._wait
-            for kind in [k for k in self._partners if k in match.open]:
+            for kind in [k for k in self._partners if k in match.missing]:
                 latest = self._latest[kind]
                 passed = latest is not None and latest > match.stamp
-                hurried = kind != DEPTH and not self._patient and DEPTH not in match.open
+                hurried = kind != DEPTH and not self._patient and DEPTH not in match.missing
                 if not (passed or waited or hurried):
                     continue
                 nearest = self._nearest(kind, match.stamp)
                 if nearest is not None:
                     self._join(match, kind, self._queues[kind].pop(nearest), now)
                 elif kind != DEPTH and self._patient and (passed or waited):
-                    match.open.discard(kind)
+                    match.missing.discard(kind)
 
     def _nearest(self, kind, stamp):
         """Return the index of the nearest image in a queue within the tolerance, else None."""
@@ -220,13 +220,13 @@ class Synchronizer:
     def _head_leaves(self, now, leaving):
         """Let the earliest label image leave or drop; return False where it has to wait."""
         match = self._matches[0]
-        if DEPTH in match.open:
+        if DEPTH in match.missing:
             # A later depth image does not end the wait: this one's own may be on its way.
             if now - match.arrival < self._wait:
                 return False
             self._drop_head(NO_DEPTH)
             return True
-        if self._patient and match.open and now - match.arrival < self._wait:
+        if self._patient and match.missing and now - match.arrival < self._wait:
             return False
         if self._lookup is not None:
             found = self._lookup(match)
@@ -277,7 +277,7 @@ class Synchronizer:
 
     def _why_full(self, match):
         """Return what the earliest label image waits for, if that is why the queue is full."""
-        if DEPTH in match.open or self._lookup is None:
+        if DEPTH in match.missing or self._lookup is None:
             return QUEUE_FULL
         return self._lookup(match).reason or QUEUE_FULL
 

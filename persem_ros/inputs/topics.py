@@ -52,10 +52,10 @@ class Choice:
         self._topics = filled + [topic for topic in source.topics if not topic.count]
         self._pose_types = (POSES[config.pose.type],) if config.pose.type in POSES \
             else tuple(POSES.values())
-        self.tf = [t for t in filled if t.type == TF and t.name.rpartition('/')[2] == 'tf']
+        self.tf = [t for t in filled if t.msgtype == TF and t.name.rpartition('/')[2] == 'tf']
         self.tf_static = [t for t in filled
-                          if t.type == TF and t.name.rpartition('/')[2] == 'tf_static']
-        self.legends = [t for t in filled if t.type == STRING and t.name.endswith('legend')]
+                          if t.msgtype == TF and t.name.rpartition('/')[2] == 'tf_static']
+        self.legends = [t for t in filled if t.msgtype == STRING and t.name.endswith('legend')]
         self.problems = []
         self.cameras = {name: self._camera(config, name)
                         for name in [n for n in config.cameras if n] or ['']}
@@ -68,7 +68,7 @@ class Choice:
 
     def candidates(self, kind):
         """Return the topics that could serve as *kind*, the likely ones first."""
-        fitting = [t for t in self._topics if t.type in self._types(kind)]
+        fitting = [t for t in self._topics if t.msgtype in self._types(kind)]
         if kind not in ('labels', 'depth', 'truth'):
             return fitting
         known = messages.DEPTH if kind == 'depth' else messages.LABELS
@@ -80,7 +80,7 @@ class Choice:
         """Return the encoding or format of the first message of every image topic, by name."""
         if self._encodings is None:
             self._encodings = {}
-            wanted = {t.name for t in self._topics if t.type in (IMAGE, COMPRESSED) and t.count}
+            wanted = {t.name for t in self._topics if t.msgtype in (IMAGE, COMPRESSED) and t.count}
             for name, msg in first_messages(self._source, wanted).items():
                 self._encodings[name] = getattr(msg, 'encoding', None) or \
                     getattr(msg, 'format', '')
@@ -93,8 +93,8 @@ class Choice:
         for kind, what in NEEDED.items():
             if kind == 'pose' and config.pose.source == 'tf':
                 if not self.tf:
-                    self.problems.append(f'no /tf, which pose.source=tf needs'
-                                         f'{self._flags("pose", prefix, "--set pose.source=topic")}')
+                    flags = self._flags(kind, prefix, '--set pose.source=topic')
+                    self.problems.append(f'no /tf, which pose.source=tf needs{flags}')
                 continue
             wanted = getattr(topics, kind)
             try:
@@ -123,17 +123,17 @@ class Choice:
             tails += [f'{tails[0]}/{transport}' for transport in TRANSPORTS]
         for tail in tails:
             exact = [t for t in self._topics if t.name.strip('/') == tail]
-            fitting = [t for t in exact if t.type in types]
+            fitting = [t for t in exact if t.msgtype in types]
             if fitting and fitting[0].count:
                 return fitting[0]
             if fitting:
                 raise LookupError(', which has no messages')
             if exact:       # the name is taken by something else
-                raise LookupError(f', which is of type {exact[0].type}')
+                raise LookupError(f', which is of type {exact[0].msgtype}')
         if wanted.startswith('/'):
             raise LookupError()
         for tail in tails:
-            below = [t for t in self._topics if t.name.endswith(f'/{tail}') and t.type in types]
+            below = [t for t in self._topics if t.name.endswith(f'/{tail}') and t.msgtype in types]
             if len(below) == 1:
                 return below[0]
             if below:
