@@ -1,12 +1,10 @@
-"""What all tests share: hypothesis profiles, a cache for compiled kernels, no ROS by accident."""
+"""What all tests share: hypothesis profiles, no ROS by accident."""
 
 import importlib.util
 import os
 from pathlib import Path
-import sys
 
 from hypothesis import HealthCheck, settings
-import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
 HAVE_ROS = importlib.util.find_spec('rclpy') is not None
@@ -21,11 +19,6 @@ settings.register_profile('persem', deadline=None, derandomize=True, print_blob=
 settings.register_profile('thorough', deadline=None, max_examples=2000,
                           suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile(os.environ.get('HYPOTHESIS_PROFILE', 'persem'))
-
-# Numba tells Python versions apart in its cache, but not NumPy versions.
-if os.access(ROOT, os.W_OK):
-    os.environ.setdefault('NUMBA_CACHE_DIR', str(
-        ROOT / '.pytest_cache' / f'numba-{sys.implementation.cache_tag}-numpy-{np.__version__}'))
 
 
 def pytest_terminal_summary(terminalreporter):
