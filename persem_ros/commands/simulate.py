@@ -83,7 +83,7 @@ def plan_of(args):
     """Return the simulate.flight.Plan of the options; those not given keep their defaults."""
     from dataclasses import replace
 
-    from persem_ros.simulate.flight import Plan
+    from persem_ros.simulate.plan import Plan
     plan = Plan()
     if args.size:
         plan = replace(plan, width=args.size[0], height=args.size[1])

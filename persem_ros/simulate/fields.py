@@ -40,6 +40,7 @@ def make_field(rng, lengths, waves=32):
     Parameters
     ----------
     rng : numpy.random.Generator
+        Where the draw comes from.
     lengths : sequence of float, shape (d,)
         Correlation length along every coordinate, in its unit.
     waves : int

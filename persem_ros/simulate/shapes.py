@@ -3,9 +3,8 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-import trimesh
-
 from persem_ros.simulate.materials import INDEX
+import trimesh
 
 WHITE = (1.0, 1.0, 1.0)
 
@@ -54,7 +53,8 @@ class Solid:
                 np.concatenate(self.base))
 
 
-_BOX = np.array([[x, y, z] for z in (0, 1) for x, y in ((-.5, -.5), (.5, -.5), (.5, .5), (-.5, .5))])
+_SQUARE = ((-.5, -.5), (.5, -.5), (.5, .5), (-.5, .5))
+_BOX = np.array([[x, y, z] for z in (0, 1) for x, y in _SQUARE])
 _SIDES = np.array([[0, 1, 5], [0, 5, 4], [1, 2, 6], [1, 6, 5], [2, 3, 7], [2, 7, 6], [3, 0, 4],
                    [3, 4, 7]])
 _TOP = np.array([[4, 5, 6], [4, 6, 7]])
@@ -92,8 +92,8 @@ def house(solid, at, yaw, size, roof, tint, roof_tint):
                                 yaw + turn)[0]
                 box(solid, middle, yaw + turn, (along, .3, .5), 'flat roof', tint)
         for k in range(2):          # what stands on flat roofs
-            spot = placed(np.array([[length * (.25 - .45 * k), width * (.2 - .3 * k), eaves + .5]]),
-                          *at, yaw)[0]
+            spot = (length * (.25 - .45 * k), width * (.2 - .3 * k), eaves + .5)
+            spot = placed(np.array([spot]), *at, yaw)[0]
             box(solid, spot, yaw, (2.2 + k, 1.8, 1.1 + .7 * k), 'flat roof', roof_tint)
         return
     over = .45
@@ -122,7 +122,9 @@ def crowns(solid, rng, at, radius, height, kind, tint):
     Parameters
     ----------
     solid : Solid
+        Gets the triangles.
     rng : numpy.random.Generator
+        For shapes and directions.
     at : ndarray, shape (n, 3)
         Feet, metres.
     radius, height : ndarray, shape (n,)
@@ -130,6 +132,7 @@ def crowns(solid, rng, at, radius, height, kind, tint):
     kind : str
         leaves, needles or shrub.
     tint : ndarray, shape (n, 3)
+        Multiplies the colour.
 
     """
     n = len(at)
@@ -178,10 +181,9 @@ def _cone(sides=9):
     vertices = np.concatenate([np.column_stack([ring * (r * w)[:, None], np.full(sides, z)])
                                for (r, z), w in zip(profile, wobble)])
     i, j = np.arange(sides), (np.arange(sides) + 1) % sides
-    faces = [np.concatenate([np.stack([k * sides + i, k * sides + j, (k + 1) * sides + j], -1),
-                             np.stack([k * sides + i, (k + 1) * sides + j, (k + 1) * sides + i], -1)])
-             for k in range(len(profile) - 1)]
-    return vertices, np.concatenate(faces)
+    low = np.arange(len(profile) - 1)[:, None] * sides
+    a, b, c, d = (v.ravel() for v in (low + i, low + j, low + sides + j, low + sides + i))
+    return vertices, np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)])
 
 
 def strip(solid, points, height, width, material, tint=WHITE):
@@ -205,7 +207,8 @@ def vehicle(solid, at, yaw, tint, truck=False):
         box(solid, load, yaw, (length - 2.1, width, 2.3), 'paint', (.95, .95, .93))
         return
     box(solid, at + (0, 0, .25), yaw, body, 'paint', tint)
-    low, high = _BOX[:4] * (length * .62, width * .92, 1), _BOX[:4] * (length * .38, width * .78, 1)
+    low = _BOX[:4] * (length * .62, width * .92, 1)
+    high = _BOX[:4] * (length * .38, width * .78, 1)
     cabin = np.concatenate([low + (-.25, 0, 1.0), high + (-.30, 0, 1.5)])
     solid.add(placed(cabin, *at, yaw), _SIDES, 'glass')
     solid.add(placed(cabin, *at, yaw), _TOP, 'paint', tint)

@@ -11,6 +11,7 @@ HALF_X, HALF_Y = 260.0, 220.0   # metres, the drawn part of the world
 CELL = 0.2                      # metres, of the ground map
 STEP = 2.0                      # metres, of the terrain mesh
 WATER_LEVEL = -1.8              # metres
+BRIDGE_TOP = .25                # metres, the bridge's deck
 STREETS_X = (48.0, 104.0, 160.0, 216.0)             # streets that run north-south, in the town
 STREETS_Y = (-162.0, -108.0, -54.0, 56.0, 110.0, 164.0)     # and east-west; the main road is 0
 TOWN = 26.0                     # metres: the town lies east of here
@@ -40,6 +41,11 @@ class Terrain:
     def height(self, x, y):
         """Return z of the ground at x, y (arrays of one shape), metres, float64."""
         return _height(self.hills, x, y)
+
+    def on(self, points):
+        """Return *points*, shape (n, 2) or (2,), with the ground's z as (n, 3)."""
+        points = np.asarray(points, float).reshape(-1, 2)
+        return np.column_stack([points, self.height(points[:, 0], points[:, 1])])
 
     def material(self, x, y):
         """Return the material of the ground at x, y (arrays of one shape), uint8."""
@@ -71,7 +77,8 @@ def make_terrain(rng):
     rough = _sampled(edges, x.ravel(), y.ravel())
     _draw_country(ground, x, y, rough)
     _draw_streets(ground, x, y)
-    ground[np.abs(x - river(y)) < 10 + 1.2 * rough] = INDEX['water']
+    shore = 10 + .9 * np.clip(rough, -1.5, 1)           # all of it on the level bed
+    ground[np.abs(x - river(y)) < shore] = INDEX['water']
     _draw_main_road(ground, x, y)
     return Terrain(hills, edges, ground)
 
@@ -98,7 +105,7 @@ def _height(hills, x, y):
     away = np.abs(x - river(y))
     wild = smoothstep((FOREST + 30 - x) / 60)           # the town is nearly level
     z = (1.0 + 5.5 * wild) * rolling * smoothstep((away - 14) / 50)
-    bank = smoothstep((away - 9.5) / 6)
+    bank = smoothstep((away - 13) / 5)
     return z * bank + WATER_LEVEL * (1 - bank)
 
 
@@ -121,20 +128,21 @@ def _sampled(field, x, y):
 
 
 def _draw_country(ground, x, y, rough):
-    """Meadows, fields, the forest's floor and its track."""
+    """Draw meadows, fields, the forest's floor and its track."""
     west = x < river(y) - 14
     ground[west] = INDEX['meadow']
     ground[(x < FOREST + 5 * rough) & west] = INDEX['forest floor']
     for left, right, low, high, material in (
-            (-78, -34, 22, 74, 'crop'), (-66, -32, -64, -14, 'soil'), (-160, -106, 84, 150, 'crop'),
-            (-250, -176, -60, 10, 'soil'), (-72, -36, -140, -84, 'crop')):
+            (-78, -34, 22, 74, 'crop'), (-66, -32, -64, -14, 'soil'),
+            (-160, -106, 84, 150, 'crop'), (-250, -176, -60, 10, 'soil'),
+            (-72, -36, -140, -84, 'crop')):
         inside = (x > left + rough) & (x < right + rough) & (y > low + rough) & (y < high + rough)
         ground[inside & west & (x < river(y) - 17)] = INDEX[material]
     ground[np.abs(x - track(y)) < 1.7 + .25 * rough] = INDEX['gravel']
 
 
 def _draw_streets(ground, x, y):
-    """The grid of streets, their pavements and markings, and a car park."""
+    """Draw the grid of streets, their pavements and markings, and a car park."""
     main = np.abs(y - main_road(x))
     for half, material in ((4.9, 'paving'), (3.0, 'asphalt')):
         for street in STREETS_X:
@@ -152,7 +160,7 @@ def _draw_streets(ground, x, y):
 
 
 def _draw_main_road(ground, x, y):
-    """The road that crosses the river on a bridge."""
+    """Draw the road that crosses the river on a bridge."""
     away = np.abs(y - main_road(x))
     ground[away < 3.6] = INDEX['asphalt']
     crossing = np.min([np.abs(x - street) for street in STREETS_X], axis=0) < 4.5

@@ -1,0 +1,57 @@
+"""The vehicles: those that stand and those that move."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from persem_ros.simulate import shapes
+from persem_ros.simulate import terrain as land
+
+PAINTS = np.array([(.9, .9, .9), (.12, .12, .13), (.45, .47, .5), (.6, .08, .07), (.1, .18, .45),
+                   (.75, .75, .72), (.1, .3, .2), (.9, .75, .2)])
+
+
+@dataclass(frozen=True)
+class Mover:
+    """A vehicle that drives along a straight street to and fro."""
+
+    x0: float
+    y0: float
+    x1: float
+    y1: float
+    speed: float
+    start: float
+    tint: tuple
+    truck: bool
+
+    def at(self, time):
+        """Return (x, y, yaw) at *time* in seconds; it drives on the right."""
+        length = np.hypot(self.x1 - self.x0, self.y1 - self.y0)
+        way = (self.start * 2 * length + self.speed * time) % (2 * length)
+        back = way > length
+        share = (2 * length - way if back else way) / length
+        yaw = np.arctan2(self.y1 - self.y0, self.x1 - self.x0) + np.pi * back
+        return (self.x0 + share * (self.x1 - self.x0) + 1.55 * np.sin(yaw),
+                self.y0 + share * (self.y1 - self.y0) - 1.55 * np.cos(yaw), yaw)
+
+
+def parked(solid, rng, terrain):
+    """Add cars that stand in the car park and along the streets."""
+    spots = [(111.5 + 3 * i, row, np.pi / 2) for i in range(13) for row in (18.0, 34.0)
+             if rng.random() < .6]
+    for street in land.STREETS_Y:
+        spots += [(x, street + side * 4.0, 0.0) for x in np.arange(land.STREETS_X[0] + 10, 240, 11)
+                  for side in (-1, 1)
+                  if rng.random() < .28 and np.abs(np.array(land.STREETS_X) - x).min() > 9]
+    for x, y, yaw in spots:
+        at = terrain.on((x, y))[0]
+        shapes.vehicle(solid, at, yaw + rng.uniform(-.04, .04), PAINTS[rng.integers(len(PAINTS))])
+
+
+def movers(rng):
+    """Return the traffic: along the streets of the town and over the bridge."""
+    lanes = [(-250.0, 0.0, 250.0, 0.0)] * 9
+    lanes += [(x, -200.0, x, 200.0) for x in land.STREETS_X[:3] for _ in range(5)]
+    lanes += [(land.STREETS_X[0], y, 250.0, y) for y in land.STREETS_Y[1:5] for _ in range(2)]
+    return tuple(Mover(*lane, rng.uniform(6, 12), rng.random(),
+                       tuple(PAINTS[rng.integers(len(PAINTS))]), bool(rng.random() < .18))
+                 for lane in lanes)
