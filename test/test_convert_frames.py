@@ -582,6 +582,34 @@ def test_frames_that_do_not_match_are_shown(seven, tmp_path):
     refusal(seven, tmp_path, text, depth='other-*.range.png')
 
 
+def test_a_few_numbers_in_common_are_chance(seven, tmp_path):
+    """Depth counted from 0 in ones, labels in fives: three numbers agree and mean nothing."""
+    for i, path in enumerate(sorted(seven.glob('*.depth.png'))):
+        path.rename(seven / f'other-{i}x.range.png')
+    refusal(seven, tmp_path, 'no frame is complete', depth='other-*.range.png')
+
+
+def test_frames_go_out_in_order_of_stamps(seven, tmp_path):
+    path = seven / 'times.txt'
+    path.write_text(''.join(f'{20 - i}\n' for i in range(12)))
+    convert_frames(seven, tmp_path / 'out', FramesOptions(stamps=str(path), frames='0:2'))
+    topics = read(tmp_path / 'out')
+    assert [s for s, _ in topics['/semantic/image']] == [9 * 10**9, 10 * 10**9]
+    np.testing.assert_array_equal(pixels(topics['/semantic/image'][0][1]), room(place(11))[1])
+
+
+def test_a_depth_image_belongs_to_one_frame(tmp_path, caplog):
+    """Two label images within the tolerance of one depth image: the nearer one has it."""
+    folder, begin = tum(tmp_path)
+    label = sorted((folder / 'labels').iterdir())[3]
+    copy = label.with_name(f'{(begin + 3 * 10**8) // 1000 / 1e6 - 0.005:.6f}.png')
+    copy.write_bytes(label.read_bytes())
+    convert_frames(folder, tmp_path / 'out')
+    stamps_out = [s for s, _ in read(tmp_path / 'out')['/semantic/image']]
+    assert len(stamps_out) == 8 and begin + 3 * 10**8 not in stamps_out
+    assert f'1 frames left out: without depth ({label.stem})' in caplog.text
+
+
 def test_stamps_that_repeat_are_refused(seven, tmp_path):
     path = seven / 'times.txt'
     path.write_text('1.5\n' * 12)

@@ -21,6 +21,7 @@ from rosbags.highlevel import AnyReader
 WIDTH, HEIGHT = 40, 32
 K = np.array([[25.0, 0, 19.5], [0, 26.0, 15.5], [0, 0, 1]])
 RUN = 'AMtown01'
+FOLDING = (-0.3, 0.02, 0.001, 0.002, 0.0)
 BEGIN = 1_658_137_057_641_204_937
 RIG = np.array([[0.0, -1, 0, 0.1], [0, 0, -1, 0.2], [1, 0, 0, -0.3], [0, 0, 0, 1]])
 CALIBRATION = """'''Camera and LiDAR'''
@@ -264,11 +265,13 @@ def test_the_nearest_point_of_a_pixel_counts():
 
 
 def test_points_are_distorted_like_the_image():
-    D = (-0.3, 0.1, 0.001, 0.002, 0.0)
-    cloud = np.array([[1.5, 1.0, 4.0], [-900.0, 3.0, 4.0]])
-    expected = cv2.projectPoints(cloud[:1].reshape(1, 1, 3), np.zeros(3), np.zeros(3), K,
-                                 np.array(D))[0].ravel()
-    v, u = np.argwhere(depth_of_points(cloud, K, D, (WIDTH, HEIGHT)))[0]
+    # With this distortion r (1 - 0.3 r^2 + 0.02 r^4) the last point comes back into the image.
+    cloud = np.array([[1.5, 1.0, 4.0], [-1.8, 0.0, 1.0]])
+    expected, folded = cv2.projectPoints(cloud.reshape(2, 1, 3), np.zeros(3), np.zeros(3), K,
+                                         np.array(FOLDING))[0].reshape(2, 2)
+    assert 0 < folded[0] < WIDTH and 0 < folded[1] < HEIGHT
+    assert np.count_nonzero(depth_of_points(cloud, K, FOLDING, (WIDTH, HEIGHT))) == 1
+    v, u = np.argwhere(depth_of_points(cloud, K, FOLDING, (WIDTH, HEIGHT)))[0]
     assert [u, v] == np.rint(expected).astype(int).tolist()
     assert [u, v] != np.rint((K @ cloud[0] / 4)[:2]).astype(int).tolist()
 
