@@ -152,7 +152,7 @@ def test_the_order_of_voxels_within_frames_does_not_matter(frames, settings, met
 
 
 @pytest.mark.parametrize('change', [
-    {'eta': 0.9}, {'neighbours': 6}, {'min_observations': 1}, {'method': 'majority'},
+    {'eta': 0.9}, {'neighbours': 6}, {'min_observations': 7}, {'method': 'majority'},
     {'tau_context': 0.0, 'tau_replay': 0.0, 'eta': 0.0}, {'gamma': 0.5, 'eta': 0.0}])
 def test_other_settings_revisit_the_whole_map(change):
     # A node's parameters change while it runs; voxels that nobody looks at again must follow.

@@ -1,12 +1,16 @@
 """All of the numba machinery: one decorator, one way to use several cores, one warm-up."""
 
+from concurrent.futures import ThreadPoolExecutor
+import functools
+import hashlib
 import logging
 import os
+from pathlib import Path
 import tempfile
 import threading
-from concurrent.futures import ThreadPoolExecutor
 
 import numba
+import numpy as np
 
 log = logging.getLogger(__name__)
 KERNELS = []            # every compiled function, for warm-up and for the test that counts them
@@ -18,19 +22,44 @@ def kernel(function):
     """
     Compile *function* once for the types it is first called with; it releases the GIL.
 
-    Compiled code is cached beside the source, else in the user's cache folder, else in a
-    temporary one: an installed package may be read-only and a service may have no home.
     No fastmath: spec section 2 fixes the order of every sum.
 
     """
+    before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, cache_folder()
     try:
         compiled = numba.njit(cache=True, nogil=True, error_model='numpy')(function)
-    except RuntimeError:        # numba found no folder that it may write
-        numba.config.CACHE_DIR = os.path.join(
-            tempfile.gettempdir(), f'persem-kernels-{os.getuid()}')
-        compiled = numba.njit(cache=True, nogil=True, error_model='numpy')(function)
+    finally:
+        numba.config.CACHE_DIR = before
     KERNELS.append(compiled)
     return compiled
+
+
+@functools.cache
+def cache_folder():
+    """
+    Return the folder of the compiled kernels: beside the source, else the user's, else temporary.
+
+    An installed package may be read-only and a service may have no home. The folder is named
+    after the content of the core: numba looks at the date of a kernel's own file only, and would
+    go on using what it had inlined from another.
+
+    """
+    here = Path(__file__).parent
+    digest = hashlib.sha256(f'{numba.__version__} {np.__version__}'.encode())
+    for source in sorted(here.glob('*.py')):
+        digest.update(source.read_bytes())
+    name = f'kernels-{digest.hexdigest()[:16]}'
+    home = os.environ.get('XDG_CACHE_HOME') or os.path.expanduser('~/.cache')
+    for root in (os.environ.get('NUMBA_CACHE_DIR'), here / '__pycache__',
+                 Path(home) / 'persem_ros', Path(tempfile.gettempdir()) / f'persem-{os.getuid()}'):
+        folder = Path(root or os.devnull) / name
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError:
+            continue
+        if os.access(folder, os.W_OK):
+            return str(folder)
+    return str(folder)      # numba says what is wrong with it
 
 
 def inlined(function):

@@ -50,6 +50,7 @@ class VoxelMemory:
         self.frames = []
         self.seen_ids = np.zeros(65536, np.uint8)   # ids of all counted pixels (section 4)
         self.rho = None             # class volatility of the last full refinement
+        self.refined_with = None    # settings of the last refinement; None: visit all next time
         self.refinements = 0        # under way: their links must not be used again
         self.store = Store()
         self.table = new_table(512)

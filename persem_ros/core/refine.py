@@ -55,13 +55,17 @@ def refine(memory, settings, full=True):
 
 def begin(memory, settings, full=True):
     """Return the Job of a refinement; call it on the mapping thread, between two frames."""
-    full = full or memory.rho is None
-    if full:
-        memory.rho = memory.volatility()
-    taken = snapshot.take(memory, None if full else directions(settings.neighbours))
+    if full or memory.rho is None:
+        memory.rho, memory.refined_with = memory.volatility(), None
+    n_ids = int(np.count_nonzero(memory.seen_ids))
+    # Other settings, or for this one method another number of ids, concern every voxel.
+    rules = settings, n_ids if settings.method == 'probabilistic' else 0
+    everywhere = memory.refined_with != rules
+    memory.refined_with = rules
+    taken = snapshot.take(memory, None if everywhere else directions(settings.neighbours))
     snapshot.settle(memory)
     memory.refinements += 1
-    return Job(memory, settings, taken, memory.rho, int(np.count_nonzero(memory.seen_ids)))
+    return Job(memory, settings, taken, memory.rho, n_ids)
 
 
 def finish(job, labels, sources):
