@@ -127,6 +127,12 @@ def test_a_missing_topic_is_refused_with_flags_to_paste(tmp_path):
     assert 'cameras.left.topics.labels=/semantic/image' in refused(path, {'cameras': ['left']})
 
 
+def test_an_optional_topic_that_somebody_typed_has_to_exist(tmp_path):
+    path = bags.write(tmp_path / 'bag')
+    assert "no true label images on '/gt'" in refused(path, {'topics.truth': '/gt'})
+    assert "no colour images on 'rgb'" in refused(path, {'topics.color': 'rgb'})
+
+
 def test_a_topic_of_the_wrong_type_is_refused(tmp_path):
     path = bags.write(tmp_path / 'bag')
     text = refused(path, {'topics.labels': 'pose'})

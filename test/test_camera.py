@@ -87,6 +87,15 @@ def test_a_fisheye_ray_has_the_angle_of_the_model():
     np.testing.assert_allclose(theta + powers, seen, atol=1e-7)
 
 
+@pytest.mark.parametrize('model, D', [('plumb_bob', PLUMB[:2]), ('plumb_bob', (*PLUMB, 0.0)),
+                                      ('equidistant', FISHEYE[:3])])
+def test_coefficients_that_are_left_out_are_zero(model, D):
+    length = 4 if model == 'equidistant' else 8
+    full = (*D, *(0.0,) * (length - len(D)))
+    np.testing.assert_array_equal(camera(info(d=D, model=model), 640, 480).rays,
+                                  camera(info(d=full, model=model), 640, 480).rays)
+
+
 def test_distortion_follows_the_size():
     big = camera(info(d=PLUMB), 640, 480).rays
     small = camera(info(d=PLUMB), 320, 240).rays
@@ -114,7 +123,10 @@ def test_rectified_takes_p_and_leaves_the_distortion():
     (info(k=-K), False, 'camera info: bad K'),
     (info(p=np.zeros((3, 4))), True, 'camera info: bad P'),
     (info(d=PLUMB, model='kannala_brandt'), False, 'camera info: unknown distortion model'),
-    (info(d=(np.nan, 0, 0, 0)), False, 'camera info: D not finite')])
+    (info(d=(np.nan, 0, 0, 0)), False, 'camera info: D not finite'),
+    (info(d=np.ones(15)), False, 'camera info: too many distortion coefficients'),
+    (info(d=np.ones(5), model='equidistant'), False,
+     'camera info: too many distortion coefficients')])
 def test_what_can_be_no_camera_is_refused(message, rectified, reason):
     for look in (lambda: camera(message, 640, 480, rectified), lambda: check(message, rectified)):
         with pytest.raises(BadMessage) as caught:

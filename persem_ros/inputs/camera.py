@@ -8,8 +8,9 @@ from persem_ros.inputs.messages import BadMessage
 
 MODELS = ('plumb_bob', 'rational_polynomial', 'equidistant')
 ASPECT_TOLERANCE = 0.005    # sizes are whole pixels: 854 x 480 is 1920 x 1080
+LENGTHS = (4, 5, 8, 12, 14)     # of OpenCV's distortion vectors
 MAX_ERROR = 0.1             # pixels between a ray projected again and its pixel
-CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
+CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
 
 
 def camera(info, width, height, rectified=False, frame_id=''):
@@ -89,12 +90,19 @@ def _distortion(info, rectified):
     if not np.isfinite(D).all():
         raise BadMessage('camera info: D not finite', f'a camera info has the distortion '
                          f'{D.tolist()}, expected finite numbers')
-    if D.any() and info.distortion_model not in MODELS:
+    model = info.distortion_model
+    if not D.any():
+        return np.zeros(4)
+    if model not in MODELS:
         raise BadMessage('camera info: unknown distortion model', 'a camera info has the '
-                         f'distortion model {info.distortion_model!r}, expected one of '
+                         f'distortion model {model!r}, expected one of '
                          f'{", ".join(MODELS)}, or --set camera.rectified=true for rectified '
                          'images')
-    return D
+    if model == 'equidistant' and D.size > 4 or D.size > LENGTHS[-1]:
+        raise BadMessage('camera info: too many distortion coefficients', 'a camera info has '
+                         f'{D.size} coefficients for the distortion model {model!r}')
+    length = 4 if model == 'equidistant' else next(n for n in LENGTHS if n >= D.size)
+    return np.append(D, np.zeros(length - D.size))
 
 
 def _seen(info, width, height):
@@ -126,7 +134,6 @@ def _scaled(values, x, y, seen_width, seen_height, width, height):
 def _undistorted(pixels, K, model, D):
     """Return the normalised rays (N, 2) of *pixels* (N, 1, 2); NaN where there is none."""
     if model == 'equidistant':
-        D = np.resize(np.append(D, np.zeros(4)), 4)
         rays = cv2.fisheye.undistortPoints(pixels, K, D, criteria=CRITERIA)
         again = cv2.fisheye.distortPoints(rays, K, D)
     else:

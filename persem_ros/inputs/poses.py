@@ -191,9 +191,9 @@ class PoseBuffer:
                     f'{", ".join(edges) or "it is empty"}')
         if self._span is None:
             return 'the pose topic has no pose that can be used'
-        return (f'a frame is at {_seconds(stamp)}, the poses run from {_seconds(self._span[0])} to '
-                f'{_seconds(self._span[1])} and gaps beyond pose.max_gap '
-                f'({self._settings.max_gap:g} s) are not bridged')
+        first, last = map(_seconds, self._span)
+        return (f'a frame is at {_seconds(stamp)}, the poses run from {first} to {last} and gaps '
+                f'beyond pose.max_gap ({self._settings.max_gap:g} s) are not bridged')
 
     def _mount(self, parent, child, frame):
         """Return (T_map_parent, T_child_camera), None where the second is not known."""

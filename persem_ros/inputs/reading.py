@@ -18,6 +18,7 @@ WINDOW_BYTES = 64 << 20
 QUEUE_BYTES = 256 << 20
 POSE_WAIT = 30.0        # s; a recording loses nothing by waiting, but memory is bounded
 POSES_KEPT = 300.0      # s
+READY_MAX = 64          # matches of some cameras that wait for those of another
 
 
 class Raw(NamedTuple):
@@ -97,10 +98,12 @@ class Reading:
     def _add_station(self, name, chosen, companions):
         config = self._recording.config
         poses = self._pose_buffer(chosen)
-        sync = Synchronizer(config.sync, partial(self._lookup, poses), companions, True,
-                            POSE_WAIT, QUEUE_BYTES, self._dropped)
+        info = self._recording.infos[chosen[INFO].name]
+        lookup = partial(self._lookup, poses, messages.frame_id(info))
+        sync = Synchronizer(config.sync, lookup, companions, True, POSE_WAIT, QUEUE_BYTES,
+                            self._dropped)
         station = Station(sync, Assembler(config.camera.rectified, name), poses)
-        station.assembler.add_info(self._recording.infos[chosen[INFO].name])
+        station.assembler.add_info(info)
         self._stations.append(station)
         for kind in (LABELS, DEPTH, *companions, INFO):
             self._roles.setdefault(chosen[kind].name, []).append((kind, station))
@@ -146,7 +149,8 @@ class Reading:
         for number, station in enumerate(self._stations):
             for match in station.sync.flush() if last else station.sync.advance(now):
                 heapq.heappush(self._ready, (match.stamp, number, match))
-        while self._ready and (last or self._ready[0][0] < self._bound()):
+        while self._ready and (last or self._ready[0][0] < self._bound()
+                               or len(self._ready) > READY_MAX):
             stamp, number, match = heapq.heappop(self._ready)
             station = self._stations[number]
             frame = self._frame(station, match)
@@ -161,10 +165,10 @@ class Reading:
         pending = [s.sync.first_pending for s in self._stations]
         return min([self._window.front, *(stamp for stamp in pending if stamp is not None)])
 
-    def _lookup(self, poses, match):
+    def _lookup(self, poses, info_frame, match):
         """Return the pose of a match; refuse poses that never lead to the camera."""
         depth, labels = match.items[DEPTH], match.items[LABELS]
-        frame_id = depth.frame_id or labels.frame_id
+        frame_id = depth.frame_id or labels.frame_id or info_frame
         found = poses.lookup(match.stamp, frame_id)
         if found.reason == NO_MOUNT:
             raise PersemError(f'{self._recording.path}: {poses.mount_sentence(frame_id)}')

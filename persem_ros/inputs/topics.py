@@ -1,6 +1,6 @@
 """Which topics of a recording are used; where one is missing, what to type instead."""
 
-from persem_ros.config import topics_of
+from persem_ros.config import Topics, topics_of
 from persem_ros.errors import PersemError
 from persem_ros.inputs import messages
 from persem_ros.inputs.messages import BadMessage
@@ -16,7 +16,7 @@ POSES = {'PoseStamped': 'geometry_msgs/msg/PoseStamped',
          'TransformStamped': 'geometry_msgs/msg/TransformStamped'}
 NEEDED = {'labels': 'label images', 'depth': 'depth images', 'camera_info': 'camera infos',
           'pose': 'poses'}
-OPTIONAL = ('truth', 'color')
+OPTIONAL = {'truth': 'true label images', 'color': 'colour images'}
 TRANSPORTS = ('compressed', 'compressedDepth')
 SHOWN = 6           # candidates in one refusal
 PEEKED = 2000       # messages read for the encodings of candidates
@@ -103,11 +103,15 @@ class Choice:
                 extra = '--set pose.source=tf' if kind == 'pose' and self.tf else ''
                 self.problems.append(f'no {what} on {wanted!r}{error}'
                                      f'{self._flags(kind, prefix, extra)}')
-        for kind in OPTIONAL:
+        for kind, what in OPTIONAL.items():
+            wanted = getattr(topics, kind)
             try:
-                chosen[kind] = self._find(kind, getattr(topics, kind))
-            except LookupError:
-                continue
+                chosen[kind] = self._find(kind, wanted)
+            except LookupError as error:
+                # The default may be missing; a name that somebody typed may not.
+                if not wanted.endswith(getattr(Topics(), kind)):
+                    self.problems.append(f'no {what} on {wanted!r}{error}'
+                                         f'{self._flags(kind, prefix)}')
         return chosen
 
     def _types(self, kind):
