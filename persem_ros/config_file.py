@@ -1,36 +1,13 @@
 """Settings as YAML in ROS form, read by the node and the command line alike."""
 
-import copy
-from pathlib import Path
-import re
 import textwrap
 
 from persem_ros.config import Config, nearest, settings, updated
 from persem_ros.errors import PersemError
-import yaml
+from persem_ros.parameter_file import parse, read, read_text, scalar
 
-NODE = 'mapper'
 NODE_DEFAULTS = {'memory.max_history': 128}     # where the node's default is another
-ROS_OWN = re.compile(r'use_sim_time$|qos_overrides\.|start_type_description_service$')
 HEADER = 'Settings of persem_ros, read by the node and by the command line (--config).'
-
-
-class _Loader(yaml.SafeLoader):
-    """YAML whose numbers are what ROS takes for numbers: 1e-3 is one, 1:30 and a date are not."""
-
-    yaml_implicit_resolvers = copy.deepcopy(yaml.SafeLoader.yaml_implicit_resolvers)
-
-
-for _first in _Loader.yaml_implicit_resolvers:
-    _Loader.yaml_implicit_resolvers[_first] = [
-        (tag, pattern) for tag, pattern in _Loader.yaml_implicit_resolvers[_first]
-        if tag.rpartition(':')[2] not in ('int', 'float', 'timestamp')]
-_Loader.add_implicit_resolver(
-    'tag:yaml.org,2002:int', re.compile(r'[-+]?(0|[1-9][0-9]*)$'), list('-+0123456789'))
-_Loader.add_implicit_resolver(
-    'tag:yaml.org,2002:float',
-    re.compile(r'[-+]?(([0-9]+\.[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?|[0-9]+[eE][-+]?[0-9]+)$'
-               r'|[-+]?\.(inf|Inf|INF)$|\.(nan|NaN|NAN)$'), list('-+.0123456789'))
 
 
 def from_args(config_path=None, set_items=(), node=False):
@@ -106,7 +83,7 @@ def from_file(path, config=None):
 
 def from_text(text, name):
     """Return the Config of a YAML text in ROS form; *name* stands for it in refusals."""
-    return _applied(_read_text(text, name), name, None)
+    return _applied(read_text(text, name), name, None)
 
 
 def _applied(entries, path, config):
@@ -121,43 +98,6 @@ def _applied(entries, path, config):
                  if text.startswith(f'{name}:') or repr(name) in text.partition(',')[0]]
         place = f'{path}, line {lines[0]}' if lines else str(path)
         raise PersemError(f'{place}: {text}') from None
-
-
-def read(path):
-    """Return {dotted name: (value, line)} of a YAML file in ROS form."""
-    try:
-        text = Path(path).read_text(encoding='utf-8')
-    except OSError as error:
-        raise PersemError(f'{path}: cannot be read ({error.strerror}); expected a YAML file in '
-                          "ROS form, 'persem config' prints one") from None
-    except UnicodeDecodeError:
-        raise PersemError(f'{path}: not YAML: not text') from None
-    return _read_text(text, path)
-
-
-def _read_text(text, path):
-    """Return {dotted name: (value, line)} of a YAML text in ROS form."""
-    try:
-        root = yaml.compose(text, _Loader)
-    except (yaml.YAMLError, RecursionError) as error:
-        mark = getattr(error, 'problem_mark', None)
-        line = f', line {mark.line + 1}' if mark else ''
-        problem = getattr(error, 'problem', None) or 'not text'
-        raise PersemError(f'{path}{line}: not YAML: {problem}') from None
-    sections = list(_sections(root, '', path)) if root is not None else []
-    if not sections:
-        raise PersemError(f"{path}: expected '/**:' and below it 'ros__parameters:', found "
-                          "neither; 'persem config' prints a file to start from")
-    ours = [(name, node) for name, node in sections if _is_ours(name)]
-    if not ours:
-        found = ', '.join(name for name, _ in sections)
-        raise PersemError(f"{path}: expected settings for '/**' or '{NODE}', "
-                          f'found only those of {found}')
-    entries = {}
-    # As in ROS, what is meant for one node wins over a wildcard.
-    for _, section in sorted(ours, key=lambda item: '*' not in item[0]):
-        entries.update(_flat(section, '', path))
-    return {name: entry for name, entry in entries.items() if not ROS_OWN.match(name)}
 
 
 def parse_item(item):
@@ -182,8 +122,8 @@ def parse_item(item):
     if isinstance(default, tuple) and not text.startswith('['):
         text = f'[{text}]'
     try:
-        return name, yaml.load(text, _Loader)     # noqa: S506 (a SafeLoader)
-    except yaml.YAMLError:
+        return name, parse(text)
+    except ValueError:
         raise PersemError(f'--set {item}: cannot be read; lists are written [1, 2]') from None
 
 
@@ -211,6 +151,8 @@ def to_yaml(config, left_out=()):
         indent = ' ' * (6 if head else 4)
         lines += textwrap.wrap(comment(name, meta), 99, initial_indent=f'{indent}# ',
                                subsequent_indent=f'{indent}# ', break_long_words=False)
+        if value == ():     # ROS cannot type an empty list; these mean none, too
+            value = ('',) if name == 'cameras' else (-1,)
         mark = '# ' if name in left_out else ''
         lines.append(f'{indent}{mark}{tail}: {scalar(value)}')
     return '\n'.join(lines) + '\n'
@@ -252,52 +194,3 @@ def span(meta):
     if meta['low'] is None and meta['high'] is None:
         return ''
     return f'{meta["low"]} .. {meta["high"]}'
-
-
-def scalar(value):
-    """Return a value as YAML that ROS reads with the same type."""
-    if isinstance(value, tuple):
-        # ROS cannot type an empty list: an id below 0 and an empty name mean nothing either.
-        return '[' + ', '.join(scalar(item) for item in value) + ']'
-    if isinstance(value, str):
-        return "'" + value.replace("'", "''") + "'"
-    return yaml.safe_dump(value).split('\n')[0]
-
-
-def _sections(node, path, file):
-    """Yield (node name, mapping below ros__parameters) of every node in the file."""
-    if not isinstance(node, yaml.MappingNode):
-        return
-    for key, value in node.value:
-        if key.value == 'ros__parameters':
-            if not isinstance(value, yaml.MappingNode):
-                raise PersemError(f'{file}, line {key.start_mark.line + 1}: expected settings '
-                                  'below ros__parameters')
-            yield path or '(no node)', value
-        else:
-            yield from _sections(value, f'{path}/{str(key.value).strip("/")}', file)
-
-
-def _is_ours(name):
-    """Tell whether a node name of a parameter file means the mapper, in any namespace."""
-    return name.rpartition('/')[2] in (NODE, '*', '**')
-
-
-def _flat(node, prefix, file):
-    """Return {dotted name: (value, line)} of a mapping node."""
-    entries = {}
-    for key, value in node.value:
-        name, line = f'{prefix}{key.value}', key.start_mark.line + 1
-        if isinstance(value, yaml.MappingNode):
-            below = _flat(value, f'{name}.', file)
-        else:
-            try:
-                below = {name: (_Loader('').construct_object(value, deep=True), line)}
-            except yaml.YAMLError as error:
-                raise PersemError(f'{file}, line {line}: {name}: {error.problem}') from None
-        twice = sorted(set(below) & set(entries))
-        if twice:
-            raise PersemError(f'{file}, line {line}: {twice[0]} is given twice, first in line '
-                              f'{entries[twice[0]][1]}')
-        entries.update(below)
-    return entries

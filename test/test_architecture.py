@@ -12,7 +12,8 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / 'persem_ros'
 FILES = sorted(PACKAGE.rglob('*.py'))
 
-NOUNS = {'__init__', 'config', 'config_file', 'errors', 'frames', 'legend'}
+NOUNS = {'__init__', 'config', 'config_file', 'errors', 'frames', 'legend',
+         'parameter_file'}
 LIBRARIES = NOUNS | {'core', 'inputs', 'outputs', 'pipeline'}
 # Folder or file -> what it may use of the package; a folder may always use itself.
 MAY_IMPORT = {
@@ -21,7 +22,8 @@ MAY_IMPORT = {
     'errors': set(),
     'frames': {'errors'},
     'config': {'errors'},
-    'config_file': {'config', 'errors'},
+    'parameter_file': {'errors'},
+    'config_file': {'config', 'errors', 'parameter_file'},
     'legend': {'config', 'errors', 'frames'},
     'core': NOUNS,
     'pipeline': NOUNS | {'core'},

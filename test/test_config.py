@@ -45,6 +45,15 @@ def test_yaml_there_and_back(write):
         assert config_file.from_file(write(config_file.to_yaml(config))) == config
 
 
+def test_odd_strings_and_empty_lists(write):
+    config = updated(Config(), {'map.path': 'a\nb\tc\x00', 'memory.dynamic_labels': [],
+                                'cameras': []})
+    text = config_file.to_yaml(config)
+    assert 'dynamic_labels: [-1]' in text and "cameras: ['']" in text
+    again = config_file.from_file(write(text))
+    assert again == updated(Config(), {'map.path': 'a\nb\tc\x00'})
+
+
 def test_yaml_is_what_ros_reads(write):
     parameters = yaml.safe_load(config_file.to_yaml(Config()))['/**']['ros__parameters']
     assert parameters['memory']['voxel_size'] == 0.5
