@@ -1,5 +1,6 @@
 """Recordings to frames: storages, topics, order, companions, several cameras."""
 
+from concurrent.futures import ThreadPoolExecutor
 import shutil
 
 import bags
@@ -252,6 +253,16 @@ def test_a_folder_without_metadata(tmp_path):
     (path / 'metadata.yaml').unlink()
     frames, recording = read(path)
     assert len(frames) == 5 and any('metadata.yaml' in note for note in recording.notes)
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+def test_frames_may_be_read_in_another_thread(tmp_path, storage):
+    path = bags.write(tmp_path / 'bag', storage=storage)
+    for _ in range(2):
+        with Recording(path, Config()) as recording, ThreadPoolExecutor(1) as pool:
+            assert len(pool.submit(lambda: list(recording.frames())).result()) == 5
+        (path / 'metadata.yaml').unlink(missing_ok=True)
+        path = path.rename(tmp_path / 'run #2')     # which rosbags cannot open as SQLite
 
 
 def test_a_recording_in_several_files(tmp_path):

@@ -177,7 +177,8 @@ class Sqlite:
         """Open the file and learn what is in it."""
         self.path = Path(file)
         self.damage = ''
-        self._base = sqlite3.connect(f'file:{quote(str(file))}?immutable=1', uri=True)
+        self._base = sqlite3.connect(f'file:{quote(str(file))}?immutable=1', uri=True,
+                                     check_same_thread=False)
         # Without this SQLite refuses a file that is shorter than its header says.
         self._base.execute('PRAGMA writable_schema=ON')
         columns = [row[1] for row in self._base.execute('PRAGMA table_info(topics)')]
@@ -209,6 +210,8 @@ class Sqlite:
         while True:
             try:
                 row = rows.fetchone()
+            except sqlite3.ProgrammingError:
+                raise       # a mistake of ours, not damage
             except sqlite3.Error:
                 self.damage = 'cut off'
                 return
