@@ -10,7 +10,7 @@ import numpy as np
 from persem_ros.config import METHODS, Refine
 from persem_ros.core.dump import dump, load
 from persem_ros.core.memory import VoxelMemory
-from persem_ros.core.refine import refine
+from persem_ros.core.refine import begin, finish, refine
 from persem_ros.core.regions import regions
 
 
@@ -70,6 +70,20 @@ def test_a_dump_is_a_copy():
     loaded = load(saved)
     loaded.add(observations(2, {(0, 0, 0): (4, 1.0)}))
     assert parts(saved) == before and len(saved.frames) == 1
+
+
+def test_a_map_saved_during_a_refinement_is_refined_when_it_comes_back():
+    frames = [(t, {(0, 0, 0): (1 if t % 2 else 2, 0.5 if t % 2 else 0.4), (1, 0, 0): (2, 1.0)},
+               ()) for t in range(6)]
+    memory = core_of(frames)
+    refine(memory, Refine())
+    memory.add(observations(9, frames[0][1]))
+    job = begin(memory, Refine(), full=False)
+    loaded = load(dump(memory))         # what the job will find is not in it
+    finish(job, *job.compute())
+    for other in (memory, loaded):
+        refine(other, Refine(), full=False)
+    assert content(loaded) == content(memory)
 
 
 def test_an_empty_memory():

@@ -160,6 +160,37 @@ def test_the_same_frames_give_the_same_bytes(frames):
             a.tobytes() for a in two.history(voxel)]
 
 
+@given(worlds())
+@examples(max_examples=30)
+def test_a_frame_at_once_equals_its_voxels_one_by_one(frames):
+    batch, singles = core_of(frames), VoxelMemory(0.5)
+    for stamp, seen, ids in frames:
+        for voxel, one in seen.items():
+            singles.add(observations(stamp, {voxel: one}, ids))
+        if not seen:
+            singles.add(observations(stamp, seen, ids))
+    columns = batch.voxels()
+    for name, column in columns.items():
+        assert column.tobytes() == singles.voxels()[name].tobytes()
+    assert batch.find(columns['voxel']).tolist() == [
+        int(batch.find([voxel])[0]) for voxel in columns['voxel']] == columns['number'].tolist()
+    assert batch.volatility().tobytes() == singles.volatility().tobytes()
+    for voxel in columns['voxel']:
+        assert [a.tobytes() for a in batch.history(voxel)] == [
+            a.tobytes() for a in singles.history(voxel)]
+
+
+@pytest.mark.parametrize('pool', ['blocks', 'voxels', 'links', 'spills'])
+def test_a_full_map_refuses_a_frame_and_stays_whole(pool):
+    memory = core_of([(1, {(i, 0, 0): (1, 1.0) for i in range(5)}, ())])
+    before = {name: a.tobytes() for name, a in memory.voxels().items()}
+    memory.store.capacity[pool] = 8
+    with pytest.raises(PersemError, match='memory.voxel_size'):
+        memory.add(observations(2, {(i, 50, 50): (1, 1.0) for i in range(9)}))
+    assert {name: a.tobytes() for name, a in memory.voxels().items()} == before
+    assert len(memory.frames) == 1
+
+
 def test_memory_does_not_grow_with_the_range_of_ids():
     sizes = []
     for top in (16, 65535):
