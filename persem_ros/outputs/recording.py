@@ -26,6 +26,8 @@ class RecordingWriter:
     stamp. A stamp of None (legends, static transforms) means "when the recording starts": the
     header has stamp 0, the log time is that of the first message with a stamp.
 
+    With sqlite3 all calls must come from the thread that entered the context.
+
     Parameters
     ----------
     path : str or Path
