@@ -4,8 +4,9 @@ import json
 
 from hypothesis import given, settings as examples, strategies as st
 import numpy as np
+from persem_ros.core.regions import REGIONS
 from persem_ros.errors import PersemError
-from persem_ros.outputs.metrics import Metrics, REGIONS, valid_pixels
+from persem_ros.outputs.metrics import Metrics, valid_pixels
 import pytest
 
 IDS = (0, 1, 7, 255, 65534)
