@@ -21,6 +21,7 @@ from persem_ros.outputs.files import write_json, write_text
 from persem_ros.outputs.metrics import Metrics
 from persem_ros.outputs.ply import map_comments, write_ply
 from persem_ros.outputs.refined import RefinedWriter
+from persem_ros.outputs.report.watcher import ReportWatcher
 from persem_ros.pipeline import Pipeline
 from persem_ros.rendering import Renderer
 
@@ -52,7 +53,7 @@ class Replay:
         self.legend = chosen_legend(config, recording)
         self.pipeline = Pipeline(config, start_map(config))
         self.metrics = Metrics(self.methods)
-        self.frames = 0
+        self.frames, self.causal = 0, False
 
     def run(self):
         """Build the map, refine it, render every frame from it; return metrics.json's content."""
@@ -74,7 +75,7 @@ class Replay:
 
     def run_causal(self):
         """Integrate, refine when it is time, render: what a node would have published."""
-        period = int(self.config.refine.period * 1e9)
+        self.causal, period = True, int(self.config.refine.period * 1e9)
         renderer, refined_at = Renderer(self.pipeline, self.methods), None
         with self._refined() as refined, WriteBehind() as later:
             for frame in self._read('mapping', truth=True, color=bool(self.watchers)):
@@ -144,7 +145,7 @@ class Replay:
         return result
 
 
-def replay(path, out, config, methods=None, causal=False, force=False, watchers=()):
+def replay(path, out, config, methods=None, causal=False, force=False, watchers=(), report=True):
     """
     Replay a recording into a folder (spec section 8).
 
@@ -162,7 +163,9 @@ def replay(path, out, config, methods=None, causal=False, force=False, watchers=
     force : bool
         Replace the files of an earlier run.
     watchers : sequence
-        See Replay.
+        See Replay; the report is one more.
+    report : bool
+        Write report.html.
 
     Returns
     -------
@@ -180,6 +183,7 @@ def replay(path, out, config, methods=None, causal=False, force=False, watchers=
         folder = rundir.prepare(out, force)
         with Announcement():
             warm_up()
+        watchers = [*watchers, *([ReportWatcher()] if report else [])]
         job = Replay(recording, folder, config, methods, watchers)
         result = job.run_causal() if causal else job.run()
         for note in recording.notes:

@@ -1,0 +1,30 @@
+"""The page's own colours: distinguishable for colour-blind readers (Okabe and Ito, viridis)."""
+
+import cv2
+import numpy as np
+
+# In the order of outputs.cloud.SOURCES: majority, history, trust, context.
+SOURCE_COLORS = ((86, 180, 233), (230, 159, 0), (0, 158, 115), (204, 121, 167))
+SOURCE_TEXTS = {
+    'majority': 'the most evidence of the voxel itself',
+    'history': "the neighbours' histories outweighed it",
+    'trust': 'recent, trusted observations, verified by the neighbours',
+    'context': "the neighbours' majority"}
+VERDICT_COLORS = ((0, 114, 178), (213, 94, 0))
+VERDICTS = ('mended', 'spoilt')
+
+
+def ramp():
+    """Return the viridis colour ramp, (256, 3) uint8, dark to bright."""
+    steps = np.arange(256, dtype=np.uint8)[:, None]
+    return np.ascontiguousarray(cv2.applyColorMap(steps, cv2.COLORMAP_VIRIDIS)[:, 0, ::-1])
+
+
+def css(color):
+    """Return (red, green, blue) as a CSS colour."""
+    return '#{:02x}{:02x}{:02x}'.format(*(int(v) for v in color))
+
+
+def css_gradient():
+    """Return the ramp as a CSS gradient from left to right."""
+    return f'linear-gradient(to right, {", ".join(css(c) for c in ramp()[::17])})'

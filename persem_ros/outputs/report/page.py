@@ -1,0 +1,144 @@
+"""The page as a whole: what goes into the templates."""
+
+from datetime import datetime, timezone
+import functools
+from importlib import resources
+
+import jinja2
+import numpy as np
+
+from persem_ros.frames import UNKNOWN
+from persem_ros.outputs.cloud import SOURCES
+from persem_ros.outputs.report import cloud3d, colors, maps, series, tables
+
+METHOD_TEXTS = {
+    'raw2d': 'the input labels as they came',
+    'ema2d': 'input labels smoothed over time in the image',
+    'majority': 'the most evidence of each voxel',
+    'persem': 'anchored in histories, revised by trust, verified by context'}
+
+
+def render(replay, result, frames, ids, flicker):
+    """
+    Return report.html as text.
+
+    Parameters
+    ----------
+    replay : persem_ros.replay.Replay
+        Finished.
+    result : dict
+        The content of metrics.json.
+    frames : list of dict
+        The strip: number, seconds, sensor and panels (strip.panels).
+    ids : list of int
+        The ids that the strip shows.
+    flicker : dict
+        FlickerSeries.lines().
+
+    """
+    method = replay.config.refine.method
+    columns = replay.pipeline.memory.voxels()
+    voxels = dict(zip(*(a.tolist() for a in np.unique(columns['label'], return_counts=True))))
+    legend = replay.legend
+    context = {
+        'name': replay.recording.path.name, 'method': method, 'result': result,
+        'headlines': tables.headlines(result, method),
+        'has_truth': any(row['iou'] for row in result['methods'].values()),
+        'has_color': any(p['key'] == 'color' for f in frames for p in f['panels']),
+        'has_legend': bool(legend.classes), 'legend_title': legend.title,
+        'frames': frames, 'strip_classes': _classes(legend, ids),
+        'sources': _sources(columns['source']), 'verdicts': _verdicts(),
+        'table': tables.methods_table(result['methods']), 'method_texts': METHOD_TEXTS,
+        'method_names': list(result['methods']),
+        'iou': tables.iou_rows(result, legend),
+        'flicker': flicker, 'chart': series.chart(flicker),
+        'regions': {name: {**row, 'table': tables.methods_table(row['methods'])}
+                    for name, row in result['regions'].items()},
+        'stages': tables.stages(replay.timing), 'timing': replay.timing,
+        'memory': tables.memory_rows(replay.timing, result['voxels']),
+        'legend': tables.legend_rows(legend, voxels),
+        'changed': tables.changed_settings(replay.config),
+        'command': tables.command(replay.recording.path, replay.folder, replay.config,
+                                  replay.methods, replay.causal),
+        'causal': replay.causal, 'topics': _topics(replay.recording),
+        'examples': replay.recording.examples, 'notes': replay.recording.notes,
+        'seconds': _seconds(replay.pipeline.memory.frames),
+        'map_frame': replay.config.frames.map,
+        'voxel_size': replay.pipeline.memory.voxel_size,
+        'written': datetime.now(timezone.utc).strftime('%Y-%m-%d %H:%M UTC'),
+        **_map(replay, columns)}
+    return environment().get_template('report.html').render(context)
+
+
+@functools.lru_cache(maxsize=1)
+def environment():
+    """Return the templates; everything that they show is escaped."""
+    env = jinja2.Environment(
+        loader=jinja2.PackageLoader('persem_ros.outputs.report', 'templates'),
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    env.filters.update(css=colors.css, bytes=tables.bytes_text, number=_number)
+    env.globals.update(asset=_asset)
+    return env
+
+
+def _asset(name):
+    """Return a file of ours that goes into the page as it is."""
+    return (resources.files('persem_ros.outputs.report') / 'assets' / name).read_text('utf-8')
+
+
+def _number(value, digits=0):
+    """Return a number with thin spaces between thousands, a dash where there is none."""
+    return '–' if value is None else f'{value:,.{digits}f}'.replace(',', '\u2009')
+
+
+def _map(replay, columns):
+    """Return the map's pictures and the 3-D view's data; None for a map without voxels."""
+    if not len(columns['voxel']):
+        return {'top': None, 'view': None, 'tracks': [], 'scale_bar': 0}
+    memory = replay.pipeline.memory
+    top = maps.top_view(columns, memory.voxel_size, replay.legend)
+    tracks = _tracks(memory)
+    view = cloud3d.packed(columns, memory.voxel_size, replay.legend, tracks)
+    width, height = np.ptp(top['x']), np.ptp(top['y'])
+    lines = [' '.join(f'{1000 * (x - top["x"][0]) / width:.1f},'
+                      f'{1000 * (top["y"][1] - y) / height:.1f}' for x, y, _ in track)
+             for track in tracks]
+    return {'top': top, 'view': view, 'tracks': lines,
+            'scale_bar': maps.scale_bar(width), 'ramp': colors.css_gradient()}
+
+
+def _tracks(memory, most=2000):
+    """Return the cameras' positions in the voxels' frame, metres, one (n, 3) array a sensor."""
+    sensors = {}
+    for frame in memory.frames:
+        sensors.setdefault((frame.session, frame.sensor), []).append(frame.T_map_sensor[:3, 3])
+    return [(np.array(line) - memory.origin)[::-(-len(line) // most)]
+            for line in sensors.values()]
+
+
+def _classes(legend, ids):
+    return [{'id': i, 'name': 'no label' if i == UNKNOWN else legend.name(i),
+             'color': legend.color(i)} for i in ids]
+
+
+def _sources(source):
+    """Return name, meaning, colour and number of voxels of what can decide a label."""
+    counts = np.bincount(source, minlength=len(SOURCES))
+    return [{'name': name, 'text': colors.SOURCE_TEXTS[name], 'color': color, 'voxels': int(n)}
+            for name, color, n in zip(SOURCES, colors.SOURCE_COLORS, counts)]
+
+
+def _verdicts():
+    return [{'name': name, 'color': color}
+            for name, color in zip(colors.VERDICTS, colors.VERDICT_COLORS)]
+
+
+def _topics(recording):
+    """Return (camera, kind, topic name, type) of what was read."""
+    return [(camera, kind, info.name, info.msgtype)
+            for camera, kinds in recording.topics.items() for kind, info in kinds.items()]
+
+
+def _seconds(frames):
+    stamps = [frame.stamp for frame in frames]
+    return (max(stamps) - min(stamps)) / 1e9 if stamps else 0.0

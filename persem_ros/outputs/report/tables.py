@@ -1,0 +1,150 @@
+"""The numbers of the page, made ready to be shown: plain lists and dicts of text and numbers."""
+
+import shlex
+
+from persem_ros import config_file
+from persem_ros.config import Config, settings
+
+BETTER = {'pixel_accuracy': 1, 'miou': 1, 'flicker': -1}
+MEASURES = ('pixel_accuracy', 'miou', 'flicker')
+
+
+def headlines(result, method):
+    """
+    Return the three numbers at the top: raw2d, then the method, with what there is.
+
+    Returns
+    -------
+    list of dict
+        title, before, after (percent or None), gain (points, positive is better), floor.
+
+    """
+    rows = result['methods']
+    before, after = rows.get('raw2d', {}), rows[method]
+    return [{'title': title, 'before': before.get(key), 'after': after[key],
+             'gain': _gain(key, after[key], before.get(key)),
+             'floor': result['truth_flicker'] if key == 'flicker' else None}
+            for key, title in zip(MEASURES, ('pixel accuracy', 'mean IoU', 'flicker'))]
+
+
+def methods_table(rows):
+    """
+    Return the table of methods.
+
+    Parameters
+    ----------
+    rows : dict
+        metrics.json's methods, or a region's.
+
+    Returns
+    -------
+    list of dict
+        name and cells: value, best, and gains [(method, points or None)] against raw2d and
+        majority (raw2d itself: against nothing); positive is better.
+
+    """
+    best = {key: _best(rows, key) for key in MEASURES}
+    bases = [name for name in ('raw2d', 'majority') if name in rows]
+    return [{'name': name, 'cells': [
+        {'value': row[key], 'best': row[key] is not None and row[key] == best[key],
+         'gains': [(base, _gain(key, row[key], rows[base][key]))
+                   for base in bases[:0 if name == 'raw2d' else None] if base != name]}
+        for key in MEASURES]} for name, row in rows.items()]
+
+
+def _best(rows, key):
+    """Return the best value of a measure if there is something to compare."""
+    values = [row[key] for row in rows.values() if row[key] is not None]
+    if len(values) < 2:
+        return None
+    return (max if BETTER[key] > 0 else min)(values)
+
+
+def _gain(key, value, base):
+    return None if value is None or base is None else BETTER[key] * (value - base)
+
+
+def iou_rows(result, legend):
+    """Return per class: id, name, color and {method: IoU in percent}, in the legend's order."""
+    rows = result['methods']
+    ids = sorted({int(c) for row in rows.values() for c in row.get('iou', {})},
+                 key=_legend_order(legend))
+    return [{'id': i, 'name': legend.name(i), 'color': legend.color(i),
+             'iou': {name: row['iou'].get(str(i)) for name, row in rows.items()}} for i in ids]
+
+
+def legend_rows(legend, voxels):
+    """
+    Return the legend: classes that it knows and ids that the map has beside them.
+
+    Parameters
+    ----------
+    legend : persem_ros.legend.Legend
+    voxels : dict of int to int
+        Number of voxels by label.
+
+    """
+    known = {item.id: item for item in legend.classes}
+    rows = []
+    for i in sorted({*known, *voxels}, key=_legend_order(legend)):
+        item = known.get(i)
+        marks = [mark for mark in ('ignored', 'dynamic') if item and getattr(item, mark)]
+        rows.append({'id': i, 'name': legend.name(i), 'color': legend.color(i),
+                     'group': item.group if item and item.group != item.name else '',
+                     'marks': marks if item else ['not in the legend'] * bool(known),
+                     'voxels': voxels.get(i, 0)})
+    return rows
+
+
+def _legend_order(legend):
+    places = {c: place for place, c in enumerate(legend.ids)}
+    return lambda i: (places.get(i, len(places)), i)
+
+
+def changed_settings(config):
+    """Return name, value, default, unit and help of the settings that are not at the default."""
+    defaults = {name: value for name, value, _ in settings(Config())}
+    return [{'name': name, 'value': config_file.scalar(value), 'unit': meta['unit'],
+             'default': config_file.scalar(defaults[name]) if name in defaults else '',
+             'help': meta['help']}
+            for name, value, meta in settings(config)
+            if name not in defaults or value != defaults[name]]
+
+
+def command(recording, folder, config, methods, causal):
+    """Return the command line that does this replay again."""
+    words = ['persem', 'replay', str(recording), '--out', str(folder)]
+    usual = ('raw2d', 'majority', config.refine.method)
+    if tuple(methods) != tuple(dict.fromkeys(usual)):
+        words += ['--methods', ','.join(methods)]
+    words += ['--causal'] * bool(causal)
+    for row in changed_settings(config):
+        value = dict((name, v) for name, v, _ in settings(config))[row['name']]
+        text = value if isinstance(value, str) else row['value']
+        words += ['--set', f'{row["name"]}={text}']
+    return shlex.join(words)
+
+
+def stages(timing):
+    """Return name, seconds, calls, milliseconds a call and share of the longest, in order."""
+    longest = max((row['s'] for row in timing['stages'].values()), default=0) or 1.0
+    return [{'name': name, 's': row['s'], 'calls': row['calls'],
+             'ms': 1e3 * row['s'] / max(1, row['calls']), 'share': 100 * row['s'] / longest}
+            for name, row in timing['stages'].items()]
+
+
+def memory_rows(timing, voxels):
+    """Return what of the map takes how many bytes, the largest first, with bytes a voxel."""
+    sizes = timing['memory']['map_bytes']
+    largest = max(sizes.values(), default=0) or 1
+    return [{'name': name, 'bytes': size, 'each': size / max(1, voxels),
+             'share': 100 * size / largest}
+            for name, size in sorted(sizes.items(), key=lambda item: -item[1])]
+
+
+def bytes_text(size):
+    """Return a number of bytes for people: 41.3 MB."""
+    for unit in ('B', 'kB', 'MB', 'GB'):
+        if size < 1000 or unit == 'GB':
+            return f'{size:.0f} {unit}' if unit == 'B' else f'{size:.1f} {unit}'
+        size /= 1000

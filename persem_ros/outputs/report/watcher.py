@@ -1,0 +1,45 @@
+"""The report as a watcher of a replay: it keeps little while frames pass, and writes at the end."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from persem_ros.outputs.files import write_text
+from persem_ros.outputs.report import page
+from persem_ros.outputs.report.series import FlickerSeries
+from persem_ros.outputs.report.strip import panels, sample, Strip
+
+
+class ReportWatcher:
+    """Writes report.html into the folder of a replay (persem_ros.replay.Replay)."""
+
+    def __init__(self):
+        self._flicker = FlickerSeries()
+        self._strip = None
+
+    def frame(self, replay, frame, rendering):
+        """Keep the frame's flicker, and of some frames what the page shows of them."""
+        if self._strip is None:
+            self._strip = Strip(replay.recording.expected)
+        self._flicker.add(frame.stamp, replay.metrics.flicker_counts())
+
+        def make(number):
+            memory = replay.pipeline.memory
+            sources = np.ascontiguousarray(memory.m.voxels['source'][:memory.n_voxels])
+            return sample(number, frame, rendering, replay.config.refine.method,
+                          replay.config.render.fill, sources)
+
+        self._strip.offer(make)
+
+    def finish(self, replay, result):
+        """Write report.html."""
+        method = replay.config.refine.method
+        samples = self._strip.chosen() if self._strip else []
+        with ThreadPoolExecutor(2) as pool:     # zlib and OpenCV let go of the interpreter
+            shown = list(pool.map(lambda s: panels(s, replay.legend, method), samples))
+        frames = [{'number': s.number, 'seconds': (s.stamp - samples[0].stamp) / 1e9,
+                   'sensor': s.sensor, 'panels': p} for s, p in zip(samples, shown)]
+        ids = sorted({int(i) for s in samples for image in s.images.values()
+                      for i in np.unique(image)})
+        text = page.render(replay, result, frames, ids, self._flicker.lines())
+        write_text(replay.folder / 'report.html', text)
