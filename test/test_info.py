@@ -25,7 +25,8 @@ def row(out, topic):
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
 def test_the_table(tmp_path, capsys, storage):
     def extra(out):
-        out.tf(bags.stamp(0), 'base_link', 'camera', np.eye(4), static=True)
+        out.tf(bags.stamp(0), 'base_link', 'gimbal', np.eye(4), static=True)
+        out.tf(bags.stamp(0), 'gimbal', 'camera', np.eye(4), static=True)
         out.pose('odometry', bags.stamp(1), 'map', np.eye(4), 'Odometry', 'base_link')
 
     status, out = report(capsys, bags.write(tmp_path / 'bag', storage=storage, extra=extra))
@@ -37,10 +38,21 @@ def test_the_table(tmp_path, capsys, storage):
     assert row(out, '/pose')[:5] == ['/pose', 'PoseStamped', '7', '10.0', 'map']
     assert row(out, '/depth/camera_info')[4:7] == ['plumb_bob', '16x12', 'camera']
     assert row(out, '/odometry')[2:6] == ['1', 'map', '->', 'base_link']
-    assert row(out, '/tf_static')[2:6] == ['1', 'base_link', '->', 'camera']
+    assert row(out, '/tf_static')[2:] == ['2', 'base_link', '->', 'gimbal', '+0.050', '+0.050']
     assert '  labels       /semantic/image (Image)' in out
     assert '  tf_static    /tf_static' in out and 'missing' not in out
     assert f'usable: persem replay {tmp_path / "bag"}' in out
+    assert report(capsys, tmp_path / 'bag', '--set', 'topics.pose=odometry')[0] == 0
+
+
+def test_images_that_begin_late_are_described(tmp_path, capsys):
+    with RecordingWriter(tmp_path / 'bag') as out:
+        for i in range(2500):
+            out.pose('pose', bags.START + i * 10_000_000, 'map', np.eye(4))
+        out.text('never', '')
+        bags.write_images(out, 0, bags.START + 24_900_000_000)
+    status, out = report(capsys, tmp_path / 'bag')
+    assert status == 0 and row(out, '/depth/image')[3] == '32FC1'
 
 
 def test_compressed_images_have_a_size(tmp_path, capsys):

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 
-from persem_ros.inputs import messages
+from persem_ros.inputs import latched, messages
 from persem_ros.inputs.assemble import Assembler
 from persem_ros.inputs.camera import same_aspect
 from persem_ros.inputs.messages import BadMessage
@@ -42,7 +42,7 @@ class Row:
         self.count += 1
         self.first = stamp if self.first is None else min(self.first, stamp)
         self.last = stamp if self.last is None else max(self.last, stamp)
-        if self.previous is not None:
+        if self.previous is not None and self.msgtype in STAMPED:
             self.back += stamp < self.previous
             self.repeated += stamp == self.previous
         self.previous = stamp
@@ -96,13 +96,14 @@ def problems(source, choice, config):
     """
     found = list(choice.problems)
     names = {topic.name for chosen in choice.cameras.values() for topic in chosen.values()}
-    firsts = first_messages(source, names | {t.name for t in choice.tf_static})
+    firsts = first_messages(source, names)
+    statics = latched.read(source, choice).statics
     for chosen in choice.cameras.values():
         samples = {kind: firsts[topic.name] for kind, topic in chosen.items()
                    if topic.name in firsts}
         found += _unusable(chosen, samples, config)
         if not choice.problems:
-            found += _unmounted(choice, samples, firsts, config)
+            found += _unmounted(statics, samples, config)
     return list(dict.fromkeys(found))
 
 
@@ -189,15 +190,13 @@ def _unusable(chosen, samples, config):
     return found
 
 
-def _unmounted(choice, samples, firsts, config):
+def _unmounted(statics, samples, config):
     """Return the sentence for poses that nothing connects with the camera."""
     if 'pose' not in samples or 'depth' not in samples:
         return []
     poses = PoseBuffer(config)
-    for topic in choice.tf_static:
-        for _, T, parent, child in messages.transforms(firsts[topic.name])[0] \
-                if topic.name in firsts else []:
-            poses.add_static(T, parent, child)
+    for transform in statics:
+        poses.add_static(*transform)
     try:
         stamp, T, parent, child = messages.pose(samples['pose'])
     except BadMessage as fault:

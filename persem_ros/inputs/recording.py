@@ -1,10 +1,9 @@
 """A recording as a stream of frames: what a replay reads."""
 
 from collections import Counter
-from itertools import islice
 
 from persem_ros.errors import PersemError
-from persem_ros.inputs import messages
+from persem_ros.inputs import latched
 from persem_ros.inputs.assemble import Assembler
 from persem_ros.inputs.messages import BadMessage
 from persem_ros.inputs.reading import Reading
@@ -32,8 +31,6 @@ class Recording:
         What is used, by camera ('' where there is only one) and kind.
     expected : int
         Number of label images, for progress; frames may be fewer.
-    legend_text : str
-        The recording's own legend (YAML), '' where it has none.
     dropped : collections.Counter
         Of the last reading: messages that were not used, by reason. Reasons without a colon
         count label images; others start with the kind of message.
@@ -54,14 +51,13 @@ class Recording:
         self.config = config
         self.dropped = Counter()
         self.examples = {}
-        self.legend_text = ''
         self._notes = {}
         try:
             self.choice = Choice(self.source, config)
             self.choice.check()
             self.topics = self.choice.cameras
             self.expected = sum(chosen['labels'].count for chosen in self.topics.values())
-            self.statics = self._read_statics()
+            self._latched = latched.read(self.source, self.choice)
             self.infos = self._read_infos()
         except BaseException:
             self.close()
@@ -82,7 +78,17 @@ class Recording:
     @property
     def notes(self):
         """What the user should know and what did not prevent the use: a list of sentences."""
-        return self.source.notes + list(self._notes.values())
+        return self.source.notes + self._latched.faults + list(self._notes.values())
+
+    @property
+    def legend_text(self):
+        """The recording's own legend (YAML), '' where it has none."""
+        return self._latched.legend
+
+    @property
+    def statics(self):
+        """The static transforms: a list of (T_parent_child, parent, child)."""
+        return self._latched.statics
 
     def has(self, kind):
         """Return whether any camera has the optional topic 'truth' or 'color'."""
@@ -130,29 +136,6 @@ class Recording:
         worst = max(reasons)[1]
         why = self.examples.get(worst, '')
         return f'{self.path} gave no frame: {counted}' + (f'; {why}' if why else '')
-
-    def _read_statics(self):
-        """Return the (T, parent, child) of /tf_static; keep the legend met on the way."""
-        topics = self.choice.tf_static + self.choice.legends
-        legends = {topic.name for topic in self.choice.legends}
-        # Counted, so that the search ends with the last of them, not with the recording.
-        wanted = islice(self.source.messages({topic.name for topic in topics}),
-                        sum(topic.count for topic in topics))
-        statics = []
-        for name, kind, _, data in wanted:
-            try:
-                msg = self.source.decode(data, kind)
-            except BadMessage as fault:
-                self._notes[name] = f'{name}: a message was not used: {fault}'
-                continue
-            if name in legends:
-                self.legend_text = msg.data
-                continue
-            good, faults = messages.transforms(msg)
-            statics += [found[1:] for found in good]
-            for fault in faults:
-                self._notes[name] = f'{name}: a transform was not used: {fault}'
-        return statics
 
     def _read_infos(self):
         """Return the first camera info of each topic, refusing those that no image can use."""

@@ -1,5 +1,7 @@
 """Which topics of a recording are used; where one is missing, what to type instead."""
 
+from itertools import islice
+
 from persem_ros.config import Topics, topics_of
 from persem_ros.errors import PersemError
 from persem_ros.inputs import messages
@@ -19,7 +21,7 @@ NEEDED = {'labels': 'label images', 'depth': 'depth images', 'camera_info': 'cam
 OPTIONAL = {'truth': 'true label images', 'color': 'colour images'}
 TRANSPORTS = ('compressed', 'compressedDepth')
 SHOWN = 6           # candidates in one refusal
-PEEKED = 2000       # messages read for the encodings of candidates
+TRIED = 10          # messages of a topic that are decoded to find a good one
 
 
 class Choice:
@@ -152,15 +154,14 @@ class Choice:
 
 
 def first_messages(source, names):
-    """Return the first message of each topic in *names*, by name, without reading far."""
+    """Return the first message of each topic in *names* that can be decoded, by name."""
     found = {}
-    for number, (name, kind, _, data) in enumerate(source.messages(names)):
-        if name not in found:
+    for name in sorted(names):      # one search each: it ends where the topic begins
+        for _, kind, _, data in islice(source.messages({name}), TRIED):
             try:
                 found[name] = source.decode(data, kind)
             except BadMessage:
                 continue
-        if len(found) == len(names) or number > PEEKED:
             break
     return found
 
