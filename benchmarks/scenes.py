@@ -1,0 +1,43 @@
+"""What the benchmarks measure on: a simulated flight and maps of any size."""
+
+import numpy as np
+
+from persem_ros.core.images import backprojected
+from persem_ros.core.observe import Observations
+from persem_ros.config import Config
+from persem_ros.simulate.flight import Flight, Plan
+
+SIZE = 640, 480
+CLASSES = 16
+
+
+def flight(frames, rate):
+    """Return a Plan of 640 x 480 images that touch about 40 000 voxels of 0.5 m each."""
+    return Plan(frames=frames, width=SIZE[0], height=SIZE[1], rate=rate)
+
+
+def frames(plan):
+    """Yield the flight's frames with 16 classes: every class is split in two by 40 m squares."""
+    from dataclasses import replace
+    for frame in Flight(plan, workers=1).frames():
+        points = backprojected(frame, Config().memory)
+        where = points @ frame.T_map_camera[:3, :3].T + frame.T_map_camera[:3, 3]
+        with np.errstate(invalid='ignore'):
+            odd = (np.floor(where[:, 0] / 40) + np.floor(where[:, 1] / 40)) % 2 == 1
+        labels = frame.labels % (CLASSES // 2) + CLASSES // 2 * odd.reshape(frame.labels.shape)
+        yield replace(frame, labels=np.where(frame.labels >= 0, labels, -1).astype(np.int32),
+                      color=None, truth=None)
+
+
+def fill(memory, voxels):
+    """Add observations of far away voxels, a plane two voxels thick, until there are *voxels*."""
+    side, first = 1024, 0
+    while memory.n_voxels < voxels:
+        n = min(2 * side * side // 8, voxels - memory.n_voxels)
+        index = np.arange(first, first + n)
+        place = np.stack([100_000 + index // 2 // side, index // 2 % side, index % 2], axis=1)
+        memory.add(Observations(
+            place.astype(np.int32), (index % CLASSES).astype(np.uint16),
+            np.ones(n, np.float32), np.empty(0, np.int32), np.arange(CLASSES, dtype=np.uint16),
+            -1 - first, np.eye(4), 'far'))
+        first += n
