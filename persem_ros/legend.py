@@ -1,20 +1,19 @@
 """The noun legend: what a class id is called, its colour, its group."""
 
+from dataclasses import dataclass, field
+from functools import cached_property
 import logging
 import os
+from pathlib import Path
 import site
 import sys
 import sysconfig
-from dataclasses import dataclass, field
-from functools import cached_property
-from pathlib import Path
 
 import numpy as np
-import yaml
-
 from persem_ros.config import nearest
 from persem_ros.errors import PersemError
 from persem_ros.frames import MAX_ID, UNKNOWN
+import yaml
 
 LOG = logging.getLogger(__name__)
 FIELDS = ('id', 'name', 'color', 'group', 'ignored', 'dynamic')
@@ -42,7 +41,7 @@ class LegendClass:
 
     """
 
-    id: int
+    id: int         # noqa: A003 - the word of the file format
     name: str
     color: tuple
     group: str = ''
@@ -122,10 +121,10 @@ class Legend:
         """The ids of things that move, as a tuple."""
         return tuple(item.id for item in self.classes if item.dynamic)
 
-    def name(self, id):
+    def name(self, label):
         """Return the name of a class id, 'class 7' for an id that the legend does not know."""
-        item = self._by_id.get(int(id))
-        return item.name if item else f'class {int(id)}'
+        item = self._by_id.get(int(label))
+        return item.name if item else f'class {int(label)}'
 
     def groups(self):
         """Return {group: tuple of ids}, ignored ids left out, in the order of the legend."""
@@ -135,9 +134,9 @@ class Legend:
                 result[item.group] = result.get(item.group, ()) + (item.id,)
         return result
 
-    def color(self, id):
+    def color(self, label):
         """Return the colour (red, green, blue) of one class id."""
-        return tuple(int(v) for v in self.colors(np.array([id], np.int32))[0])
+        return tuple(int(v) for v in self.colors(np.array([label], np.int32))[0])
 
     def colors(self, ids):
         """
@@ -149,6 +148,7 @@ class Legend:
         Parameters
         ----------
         ids : ndarray of integers, any shape
+            Class ids.
 
         Returns
         -------
@@ -227,7 +227,7 @@ def shipped_legends():
         files = sorted(folder.glob('*.yaml'))
         if files:
             return {path.stem: path for path in files}
-    raise PersemError("the shipped legends are missing: expected share/persem_ros/config/labels "
+    raise PersemError('the shipped legends are missing: expected share/persem_ros/config/labels '
                       "below the installation's prefix; reinstall persem_ros")
 
 
@@ -249,25 +249,26 @@ def _class(row, where):
         if key not in FIELDS:
             raise PersemError(f'{where}: unknown key {key!r:.60}{nearest(key, FIELDS)}; known: '
                               f'{", ".join(FIELDS)}')
-    id, name = row.get('id'), row.get('name')
-    if type(id) is not int or not 0 <= id <= UNKNOWN:
-        raise PersemError(f'{where}: id: expected an integer 0 .. {UNKNOWN}, got {id!r:.60}')
+    number, name = row.get('id'), row.get('name')
+    if type(number) is not int or not 0 <= number <= UNKNOWN:
+        raise PersemError(
+            f'{where}: id: expected an integer 0 .. {UNKNOWN}, got {number!r:.60}')
     if not isinstance(name, str) or not name.strip():
         raise PersemError(f'{where}: name: expected text, got {name!r:.60} (quote words like no)')
     flags = {flag: row.get(flag, False) for flag in ('ignored', 'dynamic')}
     for flag, value in flags.items():
         if type(value) is not bool:
             raise PersemError(f'{where}: {flag}: expected true or false, got {value!r:.60}')
-    if id > MAX_ID and not flags['ignored']:
-        raise PersemError(f'{where}: id {id} means "no label": expected ignored: true')
-    return LegendClass(id, name, _color(row.get('color'), id, where),
+    if number > MAX_ID and not flags['ignored']:
+        raise PersemError(f'{where}: id {number} means "no label": expected ignored: true')
+    return LegendClass(number, name, _color(row.get('color'), number, where),
                        str(row.get('group') or name), **flags)
 
 
-def _color(value, id, where):
+def _color(value, number, where):
     """Return (red, green, blue) of [r, g, b], '#rrggbb' or nothing."""
     if value is None:
-        return tuple(int(v) for v in made_up_colors([id])[0])
+        return tuple(int(v) for v in made_up_colors([number])[0])
     if isinstance(value, str) and len(value) == 7 and value[0] == '#':
         try:
             return tuple(bytes.fromhex(value[1:]))

@@ -3,10 +3,9 @@
 import logging
 
 import numpy as np
-import pytest
-
 from persem_ros.errors import PersemError
 from persem_ros.legend import Legend, load_legend, made_up_colors, shipped_legends
+import pytest
 
 SMALL = """
 title: small
