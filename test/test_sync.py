@@ -148,6 +148,14 @@ def test_a_stamp_hours_ahead_harms_nobody():
     assert d.sync.dropped == {'no depth within tolerance': 1}
 
 
+def test_a_depth_stamp_hours_ahead_does_not_hurry_the_labels():
+    d = Driver()
+    d.push(DEPTH, 3 * 3600 * 1000)
+    d.push(DEPTH, 95)
+    assert d.push(LABELS, 100) == []
+    assert d.push(DEPTH, 100) == [(100, 100)]
+
+
 def test_depth_images_without_labels_are_dropped_in_time():
     d = Driver()
     for i in range(300):

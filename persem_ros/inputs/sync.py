@@ -103,7 +103,7 @@ class Synchronizer:
         """Forget everything held and every stamp seen (the clock went back)."""
         self._matches = []                                  # in stamp order
         self._queues = {kind: [] for kind in self._partners}
-        self._latest = dict.fromkeys(self._partners)        # largest stamp seen
+        self._latest = dict.fromkeys(self._partners)        # stamp that arrived last
         self._left = None                                   # stamp of the last match that left
         self.bytes = 0
 
@@ -169,8 +169,7 @@ class Synchronizer:
 
     def _push_partner(self, kind, stamp, item, size, now):
         waiting = _Waiting(stamp, item, size, now)
-        if self._latest[kind] is None or stamp > self._latest[kind]:
-            self._latest[kind] = stamp
+        self._latest[kind] = stamp
         i = bisect_left(self._matches, stamp, key=_stamp)
         if i < len(self._matches) and self._matches[i].stamp == stamp:
             if kind in self._matches[i].missing:
