@@ -1,7 +1,9 @@
 """Recordings to frames: storages, topics, order, companions, several cameras."""
 
 from concurrent.futures import ThreadPoolExecutor
+import contextlib
 import shutil
+import sqlite3
 
 import bags
 import numpy as np
@@ -12,6 +14,7 @@ from persem_ros.frames import pinhole
 from persem_ros.inputs.recording import Recording
 from persem_ros.outputs.recording import RecordingWriter
 import pytest
+import yaml
 
 
 def read(path, values=None, **wanted):
@@ -85,6 +88,41 @@ def test_header_stamps_order_what_the_log_does_not(tmp_path):
     frames, recording = read(tmp_path / 'bag')
     assert [f.stamp for f in frames] == [bags.stamp(i) for i in range(5)]
     assert not recording.dropped
+
+
+def test_labels_recorded_long_after_their_depth(tmp_path):
+    with RecordingWriter(tmp_path / 'bag') as out:
+        for i in range(120):
+            out.pose('pose', bags.stamp(i), 'map', bags.pose(i))
+            out.camera_info('depth/camera_info', bags.stamp(i), 'camera', 16, 12, bags.K)
+            out.image('depth/image', bags.stamp(i), 'camera', bags.depth(i), '32FC1')
+            if i >= 100:
+                msg = out.make.image(bags.stamp(i - 100), 'camera', bags.labels(i), 'mono16')
+                out.message('semantic/image', bags.stamp(i), 'sensor_msgs/msg/Image', msg)
+    frames, recording = read(tmp_path / 'bag')
+    assert [f.stamp for f in frames] == [bags.stamp(i) for i in range(20)]
+    assert recording.dropped == {'depth: no labels': 100}
+
+
+def test_a_recording_of_an_older_ros(tmp_path):
+    """Before Iron, SQLite recordings held no message definitions and no type hashes."""
+    path = bags.write(tmp_path / 'bag', storage='sqlite3')
+    with contextlib.closing(sqlite3.connect(path / 'bag.db3')) as base:
+        base.executescript('DROP TABLE schema; DROP TABLE metadata; '
+                           'DROP TABLE message_definitions; '
+                           'ALTER TABLE topics DROP COLUMN type_description_hash')
+    meta = yaml.safe_load((path / 'metadata.yaml').read_text())
+    info = meta['rosbag2_bagfile_information']
+    info['version'] = 4
+    for name in ('custom_data', 'ros_distro', 'files'):
+        info.pop(name, None)
+    for topic in info['topics_with_message_count']:
+        topic['topic_metadata'].pop('type_description_hash')
+        profiles = topic['topic_metadata']['offered_qos_profiles']
+        topic['topic_metadata']['offered_qos_profiles'] = yaml.safe_dump(profiles)
+    (path / 'metadata.yaml').write_text(yaml.safe_dump(meta))
+    frames, recording = read(path)
+    assert len(frames) == 5 and not recording.notes
 
 
 def test_poses_recorded_late_are_waited_for(tmp_path):

@@ -16,7 +16,7 @@ ORDER = {TRUTH: 0, COLOR: 1, DEPTH: 2, LABELS: 3}   # at one stamp: whatever com
 INFO, POSE, TF = 'camera_info', 'pose', 'tf'
 WINDOW_BYTES = 64 << 20
 QUEUE_BYTES = 256 << 20
-POSE_WAIT = 30.0        # s; a recording loses nothing by waiting, but memory is bounded
+PATIENCE = 30.0         # s for poses and labels that come late; waiting costs memory only
 POSES_KEPT = 300.0      # s
 READY_MAX = 64          # matches of some cameras that wait for those of another
 
@@ -100,8 +100,8 @@ class Reading:
         poses = self._pose_buffer(chosen)
         info = self._recording.infos[chosen[INFO].name]
         lookup = partial(self._lookup, poses, messages.frame_id(info))
-        sync = Synchronizer(config.sync, lookup, companions, True, POSE_WAIT, QUEUE_BYTES,
-                            self._dropped)
+        sync = Synchronizer(config.sync, lookup, companions, True, PATIENCE, PATIENCE,
+                            QUEUE_BYTES, self._dropped)
         station = Station(sync, Assembler(config.camera.rectified, name), poses)
         station.assembler.add_info(info)
         self._stations.append(station)

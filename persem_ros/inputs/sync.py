@@ -17,7 +17,7 @@ REPEATED = 'stamp repeated'
 WENT_BACK = 'stamp went back'
 QUEUE_FULL = 'queue full'
 UNUSED = 'depth: no labels'
-KEEP = 2.0      # s that an image without labels is kept at least: a segmenter needs its time
+KEEP = 2.0      # s, for a segmenter that takes its time
 
 
 @dataclass(eq=False)
@@ -77,6 +77,8 @@ class Synchronizer:
         depend on the order of arrival). False: it takes those that are there.
     pose_wait : float, optional
         Seconds that a match waits for its pose; None: sync.max_wait.
+    keep : float
+        Seconds that a depth image waits for its labels at least.
     max_bytes : int
         Bound of everything held.
     dropped : collections.Counter, optional
@@ -86,12 +88,12 @@ class Synchronizer:
     """
 
     def __init__(self, sync, lookup=None, companions=(), patient=False, pose_wait=None,
-                 max_bytes=256 << 20, dropped=None):
+                 keep=KEEP, max_bytes=256 << 20, dropped=None):
         """Start empty."""
         self.dropped = Counter() if dropped is None else dropped
         self._tolerance = round(sync.tolerance * 1e9)
         self._wait = round(sync.max_wait * 1e9)
-        self._keep = max(self._wait, round(KEEP * 1e9))
+        self._keep = max(self._wait, round(keep * 1e9))
         self._pose_wait = self._wait if pose_wait is None else round(pose_wait * 1e9)
         self._lookup = lookup
         self._partners = (DEPTH, *companions)
