@@ -214,7 +214,7 @@
         const at = new THREE.Vector3(...place);
         return at.dot(back) + Math.max(Math.abs(at.dot(right)) / wide, Math.abs(at.dot(up)) / tan);
       });
-      camera.position.setLength(1.08 * quantile(needed, 0.985) + 1);
+      camera.position.setLength(1.05 * quantile(needed, 0.996) + 1);
       controls.update();
       draw();
     };
