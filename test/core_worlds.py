@@ -8,12 +8,11 @@ import os
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 import numpy as np
-import reference as ref
-
 from persem_ros.config import Refine
 from persem_ros.core.memory import VoxelMemory
 from persem_ros.core.observe import Observations
 from persem_ros.frames import UNKNOWN
+import reference as ref
 
 # A continuous-integration machine sees the same examples each time; a developer sees new ones.
 examples = partial(settings, deadline=None, derandomize='CI' in os.environ,

@@ -8,9 +8,9 @@ float and t the integer time. Frames: sensor frame for points, map frame for vox
 
 """
 
-import math
 from collections import Counter, defaultdict, namedtuple
 from itertools import product
+import math
 
 import numpy as np
 
@@ -357,9 +357,11 @@ def label(memory, method, settings, max_history=0, rho=None):
     Parameters
     ----------
     memory : Memory
+        What was seen.
     method : str
         One of FUSION and SELECTIVE.
     settings : persem_ros.config.Refine
+        The constants.
     max_history : int
         The newest observations of a voxel that replays and fusion methods read; 0 = all.
     rho : dict, optional
@@ -424,11 +426,13 @@ def render(refined, points, labels, T, voxel_size, fill='input', dynamic=(),
     points : iterable of (x, y, z) or None
         What each pixel sees, sensor frame; None for a pixel without depth.
     labels : iterable of int
-        The frame's own labels; *dynamic* ones pass through unchanged.
+        The frame's own labels.
     T, voxel_size, origin
         As in observe().
     fill : str
         'input': the frame's own label where the map knows nothing; 'unknown': UNKNOWN.
+    dynamic : sequence of int
+        Own labels that pass through unchanged.
 
     Returns
     -------

@@ -6,7 +6,6 @@ from core_worlds import core_of, examples, observations, refinements, worlds
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
-
 from persem_ros.config import METHODS, Refine
 from persem_ros.core.dump import dump, load
 from persem_ros.core.memory import VoxelMemory

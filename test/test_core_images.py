@@ -6,14 +6,13 @@ from core_worlds import examples, IDS, NO_IDS, seeds
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
-import pytest
-import reference as ref
-
 from persem_ros.config import Memory
 from persem_ros.core import jit
 from persem_ros.core.images import points
 from persem_ros.errors import PersemError
 from persem_ros.frames import Frame, pinhole
+import pytest
+import reference as ref
 
 NO_DEPTHS = (0.0, np.nan, np.inf, -np.inf, -1.0)
 

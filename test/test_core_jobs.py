@@ -8,12 +8,11 @@ from core_worlds import columns_of, core_of, examples, observations, refinements
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
-import pytest
-
 from persem_ros.config import METHODS, Refine
 from persem_ros.core.memory import VoxelMemory
 from persem_ros.core.refine import abandon, begin, finish, refine
 from persem_ros.core.snapshot import take
+import pytest
 
 HERE, EAST = (7, 0, 0), (8, 0, 0)
 A, B = 3, 7

@@ -8,11 +8,10 @@ from core_worlds import (
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
-import pytest
-import reference as ref
-
 from persem_ros.core.memory import VoxelMemory
 from persem_ros.errors import PersemError
+import pytest
+import reference as ref
 
 HERE = (-1, 7, 8)
 

@@ -4,13 +4,12 @@ from core_worlds import examples, IDS, NO_IDS, pose, seeds
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
-import pytest
-import reference as ref
-
 from persem_ros.core import jit
 from persem_ros.core.observe import observe
 from persem_ros.errors import PersemError
 from persem_ros.frames import UNKNOWN
+import pytest
+import reference as ref
 
 EYE = np.eye(4)
 

@@ -7,13 +7,12 @@ from core_worlds import (
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
-import pytest
-import reference as ref
-
 from persem_ros.config import METHODS, Refine
 from persem_ros.core import jit
 from persem_ros.core.memory import VoxelMemory
 from persem_ros.core.refine import label, refine
+import pytest
+import reference as ref
 
 BOUNDS = st.sampled_from([0, 0, 1, 3, 8, 9])
 
@@ -183,6 +182,15 @@ def test_a_new_id_anywhere_changes_the_probabilistic_labels_of_all():
     refine(memory, settings, full=False)
     assert columns_of(memory) == ref.label(expected, 'probabilistic', settings)
     assert columns_of(memory)[here] == (3, 0)
+
+
+def test_a_tie_that_the_majority_wins_from_outside_the_window():
+    # K = 2: the one observation that the bound has kept says 0.5 and 0.5.
+    here, settings = (0, 0, 0), Refine()
+    frames = [(t, {here: (c, 0.5)}, (1, 2)) for t, c in enumerate([1, 1, 2])]
+    assert labels_of(core_of(frames, 1), 'probabilistic', settings) == {here: (1, 0)}
+    assert ref.label(reference_of(frames), 'probabilistic', settings, 1) == {here: (1, 0)}
+    assert labels_of(core_of(frames, 1), 'unweighted', settings) == {here: (2, 0)}
 
 
 @given(seeds)

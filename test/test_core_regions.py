@@ -1,13 +1,12 @@
 """Difficult regions against the reference."""
 
-from core_worlds import core_of, examples, EXACT, reference_of, worlds
+from core_worlds import core_of, EXACT, examples, reference_of, worlds
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
+from persem_ros.core.regions import REGIONS, regions
 import pytest
 import reference as ref
-
-from persem_ros.core.regions import REGIONS, regions
 
 
 def found_in(memory, neighbours):
@@ -56,8 +55,7 @@ def test_a_switch_rate_of_exactly_three_tenths_is_not_high(pairs):
 
 
 @pytest.mark.parametrize('shares', [(13, 7), (65, 35), (6, 3, 1), (4, 1, 1, 1, 1, 1, 1),
-                                    (45, 15, 14, 13, 13), (35, 5, 5, 5, 5, 5, 5, 5, 5, 5, 5, 5,
-                                                          5, 5)])
+                                    (45, 15, 14, 13, 13), (35,) + 13 * (5,)])
 def test_a_margin_of_exactly_three_tenths_is_not_low(shares):
     # Entropy is high here; the margin alone would make the second hint of a difficult core.
     order = [c for c, n in enumerate(shares) for _ in range(n)]     # few changes of label

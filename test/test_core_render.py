@@ -6,9 +6,6 @@ from core_worlds import examples, IDS, NO_IDS, pose, seeds
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
-import pytest
-import reference as ref
-
 from persem_ros.config import Memory
 from persem_ros.core import jit
 from persem_ros.core.images import points
@@ -16,6 +13,8 @@ from persem_ros.core.memory import VoxelMemory
 from persem_ros.core.observe import observe
 from persem_ros.core.render import filled, nearest, render, voxel_image
 from persem_ros.frames import Frame, pinhole, UNKNOWN
+import pytest
+import reference as ref
 
 
 def world(rng, shape, settings, frames=4):

@@ -4,11 +4,10 @@ from core_worlds import examples, IDS, seeds
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
-import reference as ref
-
 from persem_ros.core import jit
 from persem_ros.core.smoothing import EmaImages
 from persem_ros.frames import UNKNOWN
+import reference as ref
 
 
 @given(seeds, st.integers(1, 12), st.integers(1, 9), st.floats(0.0, 1.0) | st.sampled_from(

@@ -1,13 +1,12 @@
 """The reference itself against examples worked out by hand from the specification."""
 
-import math
 from dataclasses import replace
+import math
 
 import numpy as np
+from persem_ros.config import Refine
 import pytest
 import reference as ref
-
-from persem_ros.config import Refine
 
 EYE = np.eye(4)
 A, B, C = 3, 7, 9       # three classes, in order of id
