@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 import hashlib
+import sys
 
 import numpy as np
 from persem_ros.cli import main
@@ -375,6 +376,12 @@ def test_command_refuses_a_folder_in_the_way(tmp_path, capsys):
     (tmp_path / 'precious.txt').write_text('mine', encoding='utf-8')
     assert main(['simulate', str(tmp_path)]) == 1
     assert 'not empty' in capsys.readouterr().err
+
+
+def test_command_says_what_is_not_installed(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, 'persem_ros.simulate.flight', None)
+    assert main(['simulate', str(tmp_path / 'out')]) == 1
+    assert 'pip install trimesh embreex' in capsys.readouterr().err
 
 
 @pytest.mark.parametrize('size', ['640', '640x', 'ax4', '-1x5'])
