@@ -36,7 +36,7 @@ setup(
                  'flake8-comprehensions', 'flake8-deprecated', 'flake8-docstrings',
                  'flake8-import-order', 'flake8-quotes', 'pydocstyle'],
         'bench': ['octomap-python>=1.8', 'open3d>=0.18', 'psutil>=5.9'],
-        'viewer': ['rerun-sdk>=0.20'],
+        'viewer': ['rerun-sdk>=0.23'],
     },
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),

@@ -19,19 +19,29 @@ def add_parser(subparsers):
                         help='render each frame from the map as it stood then, as a node does')
     parser.add_argument('--force', action='store_true',
                         help='replace the files of an earlier run in DIR')
+    parser.add_argument('--rerun', metavar='FILE.rrd',
+                        help='log camera, images and the growing map for the Rerun viewer as well '
+                             "(pip install 'persem_ros[viewer]')")
     add_settings(parser)
     parser.set_defaults(run=run)
 
 
 def run(args):
     """Replay the recording; print the table of results."""
+    from contextlib import ExitStack
+    from pathlib import Path
     from persem_ros import config_file
     from persem_ros.replay import replay
     config = config_file.from_args(args.config, args.set_items)
     methods = args.methods.split(',') if args.methods else None
-    result = replay(args.bag, args.out, config, methods, args.causal, args.force)
+    with ExitStack() as stack:
+        watchers = []
+        if args.rerun:
+            from persem_ros.outputs.rerun_log import RerunLog
+            watchers.append(stack.enter_context(RerunLog(args.rerun)))
+        result = replay(args.bag, args.out, config, methods, args.causal, args.force, watchers)
     print(summary(result))
-    print(f'\nresults in {args.out}')
+    print(f'\nresults in {args.out}, to be looked at: {Path(args.out) / "report.html"}')
 
 
 def summary(result):
