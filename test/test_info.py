@@ -55,6 +55,25 @@ def test_images_that_begin_late_are_described(tmp_path, capsys):
     assert status == 0 and row(out, '/depth/image')[3] == '32FC1'
 
 
+def test_the_recorder_may_have_another_clock(tmp_path, capsys):
+    """What has no header is shown on the recorder's clock, each beside its like."""
+    later = 3 * 10 ** 16
+    with RecordingWriter(tmp_path / 'bag') as out:
+        for i in range(3):
+            for topic, kind, msg in (
+                    ('semantic/image', 'sensor_msgs/msg/Image',
+                     out.make.image(bags.stamp(i), 'camera', bags.labels(i), 'mono16')),
+                    ('note', 'std_msgs/msg/String', out.make.make('std_msgs/msg/String', 'x')),
+                    ('tf', 'tf2_msgs/msg/TFMessage', out.make.make('tf2_msgs/msg/TFMessage', [
+                        out.make.transform(bags.stamp(i), 'map', 'camera', np.eye(4))])),
+                    ('empty', 'tf2_msgs/msg/TFMessage', out.make.make(
+                        'tf2_msgs/msg/TFMessage', []))):
+                out.message(topic, bags.stamp(i) + later, kind, msg)
+    out = report(capsys, tmp_path / 'bag')[1]
+    assert row(out, '/semantic/image')[-2:] == row(out, '/tf')[-2:] == ['+0.000', '+0.200']
+    assert row(out, '/note')[-2:] == ['+0.000', '+0.200'] and '(0.2 s)' in out
+
+
 def test_compressed_images_have_a_size(tmp_path, capsys):
     with RecordingWriter(tmp_path / 'bag') as out:
         for i in range(3):

@@ -22,7 +22,7 @@ def run(args):
     from tqdm import tqdm
 
     from persem_ros import config_file
-    from persem_ros.inputs import info
+    from persem_ros.inputs import info, info_text
     from persem_ros.inputs.source import Source
     from persem_ros.inputs.topics import Choice
 
@@ -34,5 +34,5 @@ def run(args):
             disable=not sys.stderr.isatty()))
         choice = Choice(source, config)
         lacking = info.problems(source, choice, config)
-        print(info.text(source, rows, choice, lacking), end='')
+        print(info_text.text(source, rows, choice, lacking), end='')
     return 1 if lacking else 0

@@ -1,23 +1,29 @@
-"""What is in a recording: one row a topic, what a replay would use, what it lacks."""
+"""What is in a recording: one row a topic, and what stands in the way of a replay."""
 
 from dataclasses import dataclass, field
-from datetime import datetime, timezone
 
 from persem_ros.inputs import latched, messages
 from persem_ros.inputs.assemble import Assembler
 from persem_ros.inputs.camera import same_aspect
 from persem_ros.inputs.messages import BadMessage
 from persem_ros.inputs.poses import PoseBuffer
-from persem_ros.inputs.topics import COMPRESSED, first_messages, IMAGE, INFO, NEEDED, POSES, TF
+from persem_ros.inputs.topics import (
+    COMPRESSED, first_messages, IMAGE, INFO, NEEDED, POSES, TF, TRIED)
 
-STAMPED = {IMAGE, COMPRESSED, INFO, *POSES.values()}
-PLAUSIBLE = 400 * 365 * 86400 * 10**9       # ns; times beyond are shown as numbers
-COLUMNS = ('topic', 'type', 'messages', 'Hz', 'encoding', 'size', 'frame', 'first', 'last', '')
+HEADERS = {IMAGE, COMPRESSED, INFO, *POSES.values()}
+SHORTEST = 10**8             # ns; latched messages come in a burst, which is no rate
+LONGEST_HEADER = 1024
 
 
 @dataclass
 class Row:
-    """What one topic holds; stamps are header stamps where the type has a header."""
+    """
+    What one topic holds.
+
+    Stamps are those of the headers, for types without a header those of the recorder, whose
+    clock may be another one.
+
+    """
 
     name: str
     msgtype: str
@@ -29,20 +35,30 @@ class Row:
     last: int = None            # largest stamp, ns
     back: int = 0               # stamps smaller than the one before
     repeated: int = 0
+    recorded: int = None        # earliest time of the recorder, ns
+    tried: int = field(default=0, repr=False)
     previous: int = field(default=None, repr=False)
+
+    @property
+    def stamped(self):
+        """Whether the messages carry stamps that mean something."""
+        moving = self.msgtype == TF and not self.name.endswith('tf_static')
+        return self.msgtype in HEADERS or moving
 
     @property
     def rate(self):
         """Messages per second between the first and the last stamp, 0 where there is none."""
         span = (self.last or 0) - (self.first or 0)
-        return (self.count - 1) * 1e9 / span if self.count > 1 and span > 0 else 0.0
+        return (self.count - 1) * 1e9 / span if span >= SHORTEST else 0.0
 
     def see(self, stamp):
-        """Count a message with *stamp*."""
+        """Count a message with *stamp*, None where it has none."""
         self.count += 1
+        if stamp is None:
+            return
         self.first = stamp if self.first is None else min(self.first, stamp)
         self.last = stamp if self.last is None else max(self.last, stamp)
-        if self.previous is not None and self.msgtype in STAMPED:
+        if self.previous is not None and self.msgtype in HEADERS:
             self.back += stamp < self.previous
             self.repeated += stamp == self.previous
         self.previous = stamp
@@ -69,14 +85,10 @@ def survey(source, progress=iter):
     names = {t.name for t in source.topics}
     for name, kind, time, data in progress(source.messages(names)):
         row = rows[name, kind]
-        try:
-            row.see(messages.header(data)[0] if kind in STAMPED else time)
-        except BadMessage:
-            row.see(time)
-    for name, msg in first_messages(source, names).items():
-        for row in rows.values():
-            if row.name == name:
-                _describe(row, msg)
+        row.see(_stamp(kind, data) if row.stamped else time)
+        row.recorded = time if row.recorded is None else min(row.recorded, time)
+        if row.tried < TRIED:
+            _try_to_describe(row, source, data)
     return list(rows.values())
 
 
@@ -107,39 +119,24 @@ def problems(source, choice, config):
     return list(dict.fromkeys(found))
 
 
-def text(source, rows, choice, lacking):
-    """
-    Return the report.
+def _stamp(kind, data):
+    """Return the stamp in a serialized message, None where it has none."""
+    # A TFMessage begins with the number of its transforms, each of which begins with a header.
+    data = data if kind in HEADERS else data[:4] + data[8:8 + LONGEST_HEADER]
+    try:
+        return messages.header(data)[0]
+    except BadMessage:
+        return None
 
-    Parameters
-    ----------
-    source, rows, choice, lacking
-        The source, its survey, the choice and its problems.
 
-    Returns
-    -------
-    str
-        Lines of plain text.
-
-    """
-    start = min((row.first for row in rows if row.first), default=0)
-    end = max((row.last for row in rows if row.last), default=0)
-    total = sum(row.count for row in rows)
-    lines = [f'{source.path}: {source.storage}, {_bytes(source.size)}, {total} messages',
-             f'from {_date(start)} to {_date(end)} ({(end - start) / 1e9:.1f} s)', '']
-    lines += _table([COLUMNS] + [_cells(row, start) for row in rows]) + ['']
-    lines += [f'note: {note}' for note in source.notes]
-    for camera, chosen in choice.cameras.items():
-        lines.append(f'a replay would use{f" for camera {camera}" if camera else ""}:')
-        lines += [f'  {kind:<12} {topic.name} ({_short(topic.msgtype)})'
-                  for kind, topic in chosen.items()]
-    lines += [f'  {kind:<12} {topic.name}' for kind, topics in (
-        ('tf', choice.tf if 'pose' not in next(iter(choice.cameras.values())) else []),
-        ('tf_static', choice.tf_static), ('legend', choice.legends)) for topic in topics]
-    lines += [f'missing: {sentence}' for sentence in lacking]
-    lines.append('not usable as it is' if lacking else
-                 f'usable: persem replay {source.path} --out DIR')
-    return '\n'.join(lines) + '\n'
+def _try_to_describe(row, source, data):
+    """Fill in what a message tells, unless it is damaged."""
+    row.tried += 1
+    try:
+        _describe(row, source.decode(data, row.msgtype))
+        row.tried = TRIED
+    except BadMessage:          # damaged, or of a type that is not known here
+        return
 
 
 def _describe(row, msg):
@@ -204,40 +201,3 @@ def _unmounted(statics, samples, config):
     poses.add(stamp, T, parent, child)
     frame = messages.frame_id(samples['depth']) or messages.frame_id(samples['labels'])
     return [poses.mount_sentence(frame)] if poses.lookup(stamp, frame).T is None else []
-
-
-def _cells(row, start):
-    remarks = [f'{n} {what}' for n, what in ((row.back, 'stamps go back'),
-                                             (row.repeated, 'stamps repeat')) if n]
-    times = [f'{(stamp - start) / 1e9:+.3f}' if stamp is not None else ''
-             for stamp in (row.first, row.last)]
-    rate = f'{row.rate:.1f}' if row.rate else ''
-    return (row.name, _short(row.msgtype), str(row.count), rate, row.encoding, row.size, row.frame,
-            *times, ', '.join(remarks))
-
-
-def _table(rows):
-    """Return the rows as aligned lines; numbers to the right."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    right = {COLUMNS.index(name) for name in ('messages', 'Hz', 'first', 'last')}
-    return ['  '.join(cell.rjust(width) if i in right else cell.ljust(width)
-                      for i, (cell, width) in enumerate(zip(row, widths))).rstrip()
-            for row in rows]
-
-
-def _short(kind):
-    return kind.rpartition('/')[2]
-
-
-def _bytes(size):
-    for unit in ('bytes', 'kB', 'MB', 'GB'):
-        if size < 1000 or unit == 'GB':
-            return f'{size:.0f} {unit}' if unit == 'bytes' else f'{size:.1f} {unit}'
-        size /= 1000
-
-
-def _date(stamp):
-    """Return a stamp as UTC; simulated clocks start in 1970 and are shown as seconds."""
-    if not 10**17 < stamp < PLAUSIBLE:
-        return f'{stamp / 1e9:.3f} s'
-    return datetime.fromtimestamp(stamp / 1e9, timezone.utc).strftime('%Y-%m-%d %H:%M:%S UTC')

@@ -1,6 +1,7 @@
 """Which topics of a recording are used; where one is missing, what to type instead."""
 
 from itertools import islice
+from shlex import quote
 
 from persem_ros.config import Topics, topics_of
 from persem_ros.errors import PersemError
@@ -65,8 +66,9 @@ class Choice:
     def check(self):
         """Refuse a choice with something missing."""
         if self.problems:
-            raise PersemError(f'{self._source.path}: {"; ".join(self.problems)}; '
-                              f"'persem info {self._source.path}' lists all topics")
+            path = self._source.path
+            raise PersemError(f'{path}: {"; ".join(self.problems)}; "persem info '
+                              f'{quote(str(path))}" lists all topics')
 
     def candidates(self, kind):
         """Return the topics that could serve as *kind*, the likely ones first."""
