@@ -13,6 +13,7 @@ from persem_ros.core.memory import VoxelMemory
 from persem_ros.core.refine import abandon, begin, finish, refine
 from persem_ros.core.snapshot import take
 import pytest
+import reference as ref
 
 HERE, EAST = (7, 0, 0), (8, 0, 0)
 A, B = 3, 7
@@ -188,3 +189,26 @@ def test_an_increment_takes_only_the_changed_and_their_surroundings():
     assert refine(memory, Refine(), full=False) == 2        # HERE and, in another block, EAST
     memory.add(observations(10, {far: (B, 1.0)}))
     assert refine(memory, Refine(), full=False) == 1
+
+
+@pytest.mark.parametrize('neighbours', [6, 18, 26])
+def test_an_increment_visits_exactly_the_changed_and_their_neighbours(neighbours):
+    # Blocks on both sides of zero, with holes; changes on all their faces, edges and corners.
+    rng = np.random.default_rng(neighbours)
+    cells = [tuple(int(x) - 10 for x in v) for v in np.ndindex(20, 20, 20) if rng.random() < 0.7]
+    memory = core_of([(0, {v: (A, 1.0) for v in cells}, ())])
+    settings = replace(Refine(), neighbours=neighbours)
+    refine(memory, settings)
+    for stamp in range(1, 40):
+        few = [cells[i] for i in rng.choice(len(cells), rng.integers(1, 5), replace=False)]
+        new = tuple(int(x) for x in rng.integers(-10, 10, 3))      # here before, or not
+        changed = {v: (B, 0.5) for v in [*few, new]}
+        memory.add(observations(stamp, changed))
+        job = begin(memory, settings, full=False)
+        finish(job, *job.compute())
+        columns = memory.voxels()
+        voxel_of = dict(zip(columns['number'].tolist(), map(tuple, columns['voxel'].tolist())))
+        around = {tuple(a + b for a, b in zip(v, d)) for v in changed
+                  for d in [(0, 0, 0), *ref.offsets(neighbours)]}
+        assert {voxel_of[n] for n in job.snapshot.number[:job.snapshot.refined].tolist()} == \
+            around & set(voxel_of.values())
