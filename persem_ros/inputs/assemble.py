@@ -34,6 +34,11 @@ class Assembler:
         self._sensor = sensor
         self._cameras = {}
 
+    @property
+    def frame_id(self):
+        """The frame of the first camera info, None before it has come."""
+        return messages.frame_id(self._infos[0][2]) if self._infos else None
+
     def add_info(self, info):
         """Use *info* for images from its stamp on; refuse (BadMessage) an unusable one."""
         key = content(info)

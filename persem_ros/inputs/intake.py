@@ -1,0 +1,226 @@
+"""The way in, from serialized messages to frames; live and replay share every line of it."""
+
+from functools import partial
+import heapq
+from typing import NamedTuple
+
+from persem_ros.inputs import messages
+from persem_ros.inputs.assemble import Assembler
+from persem_ros.inputs.messages import BadMessage
+from persem_ros.inputs.poses import Lookup, NO_MOUNT
+from persem_ros.inputs.sync import COLOR, DEPTH, KEEP, LABELS, Synchronizer, TRUTH
+
+ORDER = {TRUTH: 0, COLOR: 1, DEPTH: 2, LABELS: 3}   # at one stamp: whatever completes goes last
+INFO, POSE, TF = 'camera_info', 'pose', 'tf'
+NO_INFO = 'no camera info'
+QUEUE_BYTES = 256 << 20
+READY_MAX = 64          # matches of some cameras that wait for those of another
+
+
+class Raw(NamedTuple):
+    """An image that has not been decoded: most of those without a partner never are."""
+
+    msgtype: str
+    data: bytes
+    frame_id: str
+
+
+class Station:
+    """
+    One camera on the way in.
+
+    Parameters
+    ----------
+    synchronizer : Synchronizer
+        Its images.
+    assembler : Assembler
+        Its camera infos.
+    poses : PoseBuffer
+        Its poses, which it may share with other cameras.
+
+    """
+
+    def __init__(self, synchronizer, assembler, poses):
+        """Keep them together."""
+        self.sync = synchronizer
+        self.assembler = assembler
+        self.poses = poses
+
+
+class Intake:
+    """
+    Takes messages, pairs and places them, gives frames.
+
+    Parameters
+    ----------
+    config : persem_ros.config.Config
+        The settings sync.*, camera.* and pose.*.
+    decode : callable
+        decode(data, typename) gives a message; BadMessage where its bytes are damaged.
+    dropped : collections.Counter
+        Where reasons are counted. Reasons without a colon count label images; others start with
+        the kind of message.
+    patient : bool
+        Whether a match waits for its companions (see Synchronizer).
+    pose_wait : float, optional
+        Seconds that a match waits for its pose; None: sync.max_wait.
+    keep : float
+        Seconds that a depth image waits for its labels at least.
+
+    Attributes
+    ----------
+    stations : list of Station
+        The cameras, in the order of their numbers.
+    examples : dict of str to str
+        One whole sentence for reasons that have one.
+
+    """
+
+    def __init__(self, config, decode, dropped, patient=False, pose_wait=None, keep=KEEP):
+        """Start without cameras."""
+        self.config = config
+        self.stations = []
+        self.dropped = dropped
+        self.examples = {}
+        self._decode = decode
+        self._waits = patient, pose_wait, keep
+        self._ready = []        # matches of all cameras, a heap
+        self._missed = {}       # reason -> what a lookup without a pose was for
+
+    def add_camera(self, name, poses, companions=()):
+        """Add a camera whose poses come from the PoseBuffer *poses*; return its Station."""
+        assembler = Assembler(self.config.camera.rectified, name)
+        patient, pose_wait, keep = self._waits
+        sync = Synchronizer(self.config.sync, partial(self._lookup, poses, assembler), companions,
+                            patient, pose_wait, keep, QUEUE_BYTES, self.dropped)
+        self.stations.append(Station(sync, assembler, poses))
+        return self.stations[-1]
+
+    def take(self, role, taker, kind, now, data):
+        """
+        Take one message; call `leaving` afterwards.
+
+        Parameters
+        ----------
+        role : str
+            'labels', 'depth', 'truth', 'color', 'camera_info', 'pose', 'tf' or 'tf_static'.
+        taker : Station or PoseBuffer
+            Whose message it is: poses and transforms go to a buffer.
+        kind : str
+            The message type, 'sensor_msgs/msg/Image'.
+        now : int
+            Nanoseconds of a clock that does not go back.
+        data : bytes
+            The serialized message.
+
+        """
+        try:
+            self._take(role, taker, kind, now, data)
+        except BadMessage as fault:
+            self._drop(role, fault)
+
+    def leaving(self, now, last=False):
+        """Yield the frames that can leave at time *now*, over all cameras in stamp order."""
+        for number, station in enumerate(self.stations):
+            for match in station.sync.flush() if last else station.sync.advance(now):
+                heapq.heappush(self._ready, (match.stamp, number, match))
+        while self._ready and (last or self.may_leave(*self._ready[0][:2], now)
+                               or len(self._ready) > READY_MAX):
+            stamp, number, match = heapq.heappop(self._ready)
+            station = self.stations[number]
+            frame = self._frame(station, match)
+            station.poses.forget(min(stamp, self.oldest_pending(stamp)))
+            if frame is not None:
+                yield frame
+
+    def may_leave(self, stamp, number, now):
+        """Whether no camera can have an earlier match than this one of camera *number*."""
+        raise NotImplementedError
+
+    def oldest_pending(self, default):
+        """Return the earliest stamp of a label image held, *default* where none is."""
+        pending = (station.sync.first_pending for station in self.stations)
+        return min((stamp for stamp in pending if stamp is not None), default=default)
+
+    def push_image(self, station, role, stamp, raw, now):
+        """Hand an image to its synchroniser."""
+        station.sync.push(role, stamp, raw, len(raw.data), now)
+
+    def no_mount(self, sentence):
+        """Tell that poses do not lead to the camera, yet: *sentence* says what is missing."""
+        self.examples[NO_MOUNT] = sentence
+
+    def explain(self):
+        """Write to `examples` why frames had no pose."""
+        for reason, (poses, stamp, frame_id) in self._missed.items():
+            if reason in self.dropped:
+                self.examples[reason] = poses.explain(stamp, frame_id)
+        self._missed.clear()
+
+    def clear(self):
+        """Forget all images held (the clock went back)."""
+        self._ready.clear()
+        for station in self.stations:
+            station.sync.clear()
+
+    def _take(self, role, taker, kind, now, data):
+        if role in ORDER:
+            stamp, frame_id = messages.header(data)
+            self.push_image(taker, role, stamp, Raw(kind, data, frame_id), now)
+            return
+        msg = self._decode(data, kind)
+        if role == INFO:
+            taker.assembler.add_info(msg)
+        elif role == POSE:
+            if not taker.add(*messages.pose(msg)):
+                self.dropped['pose: stamp repeated'] += 1
+        else:
+            good, faults = messages.transforms(msg)
+            for found in good:
+                if role == TF:
+                    taker.add_tf(*found)
+                else:
+                    taker.add_static(*found[1:])
+            for fault in faults:
+                self._drop(role, fault)
+
+    def _lookup(self, poses, assembler, match):
+        """Return the pose of a match, once its camera is known."""
+        info_frame = assembler.frame_id
+        if info_frame is None:
+            return Lookup(None, False, NO_INFO)
+        depth, labels = match.items[DEPTH], match.items[LABELS]
+        frame_id = depth.frame_id or labels.frame_id or info_frame
+        found = poses.lookup(match.stamp, frame_id)
+        if found.reason == NO_MOUNT:
+            self.no_mount(poses.mount_sentence(frame_id))
+        elif found.T is None:
+            self._missed[found.reason] = poses, match.stamp, frame_id
+        return found
+
+    def _frame(self, station, match):
+        """Return the decoded frame of a match, None where it cannot be used."""
+        decoded = {}
+        try:
+            for kind, raw in match.items.items():
+                try:
+                    decoded[kind] = self._decode(memoryview(raw.data), raw.msgtype)
+                except BadMessage as fault:
+                    self._drop(kind, fault)
+                    if kind in (LABELS, DEPTH):
+                        return None
+            frame, faults = station.assembler.frame(match, decoded)
+        except BadMessage as fault:
+            self._count(fault)
+            return None
+        for fault in faults:
+            self._count(fault)
+        return frame
+
+    def _drop(self, role, fault):
+        """Count a fault of a message whose reason does not yet say which kind it was."""
+        self._count(fault if role == INFO else BadMessage(f'{role}: {fault.reason}', str(fault)))
+
+    def _count(self, fault):
+        self.dropped[fault.reason] += 1
+        self.examples.setdefault(fault.reason, str(fault))
