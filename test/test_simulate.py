@@ -194,9 +194,17 @@ def test_the_camera_is_mounted_as_said(exact):
 
 def test_traffic_moves(exact):
     world = exact._renderer.world
-    way = np.array([[*mover.at(0.0)[:2], *mover.at(1.0)[:2]] for mover in world.movers])
-    speed = np.hypot(way[:, 2] - way[:, 0], way[:, 3] - way[:, 1])
-    assert len(way) > 20 and np.median(speed) == pytest.approx(9, abs=2)
+    x, y, yaw = world.fleet.at(3.0)
+    ahead = np.array(world.fleet.at(3.5)[:2]) - (x, y)
+    speed = np.hypot(*ahead) / 0.5
+    assert len(x) > 20 and np.median(speed) == pytest.approx(9, abs=2)
+    forward = (ahead * (np.cos(yaw), np.sin(yaw))).sum(axis=0) / np.hypot(*ahead)
+    assert (forward > 0.98).mean() > 0.9        # some turn at the end of their street
+    road = mat.CLASS[world.terrain.material(x, y)] == mat.ROAD
+    assert (road | (np.abs(x - land.river(y)) < 20)).all()
+    corners = world.traffic(3.0).origins
+    height = corners[:, 2] - world.deck(corners[:, 0], corners[:, 1])
+    assert -0.5 < height.min() and height.max() < 4.0
 
 
 def test_path_is_smooth_and_comes_back():

@@ -24,14 +24,60 @@ class Mover:
     truck: bool
 
     def at(self, time):
-        """Return (x, y, yaw) at *time* in seconds; it drives on the right."""
+        """Return x, y in metres and yaw in radians at *time* in seconds; it keeps right."""
         length = np.hypot(self.x1 - self.x0, self.y1 - self.y0)
         way = (self.start * 2 * length + self.speed * time) % (2 * length)
         back = way > length
         share = (2 * length - way if back else way) / length
         yaw = np.arctan2(self.y1 - self.y0, self.x1 - self.x0) + np.pi * back
-        return (self.x0 + share * (self.x1 - self.x0) + 1.55 * np.sin(yaw),
-                self.y0 + share * (self.y1 - self.y0) - 1.55 * np.cos(yaw), yaw)
+        x = self.x0 + share * (self.x1 - self.x0) + 1.55 * np.sin(yaw)
+        y = self.y0 + share * (self.y1 - self.y0) - 1.55 * np.cos(yaw)
+        if self.y0 == self.y1 == 0:         # the main road is not straight
+            y += land.main_road(x)
+            yaw += np.arctan(land.main_road(x + .5) - land.main_road(x - .5))
+        return x, y, yaw
+
+
+@dataclass(frozen=True, eq=False)
+class Fleet:
+    """
+    All moving vehicles.
+
+    Attributes
+    ----------
+    movers : tuple of Mover
+    arrays : tuple
+        shapes.Solid.arrays() of the vehicles, each at the origin, heading along x.
+    owner : ndarray, shape (vertices,), int
+        The mover that each vertex belongs to.
+
+    """
+
+    movers: tuple
+    arrays: tuple
+    owner: np.ndarray
+
+    def at(self, time):
+        """Return x, y, yaw of all vehicles at *time* in seconds, each of shape (movers,)."""
+        return np.array([mover.at(time) for mover in self.movers]).T
+
+    def vertices(self, x, y, z, yaw):
+        """Return the vertices with the vehicles at x, y, z, yaw, shape (vertices, 3)."""
+        c, s = np.cos(yaw)[self.owner], np.sin(yaw)[self.owner]
+        v = self.arrays[0]
+        return np.stack([c * v[:, 0] - s * v[:, 1] + x[self.owner],
+                         s * v[:, 0] + c * v[:, 1] + y[self.owner],
+                         v[:, 2] + z[self.owner]], -1)
+
+
+def make_fleet(movers):
+    """Return the Fleet of *movers*."""
+    solid, owner = shapes.Solid(), []
+    for i, mover in enumerate(movers):
+        before = solid.count
+        shapes.vehicle(solid, (0.0, 0.0, 0.0), 0.0, mover.tint, mover.truck)
+        owner.append(np.full(solid.count - before, i))
+    return Fleet(tuple(movers), solid.arrays(), np.concatenate(owner))
 
 
 def parked(solid, rng, terrain):

@@ -8,7 +8,7 @@ from persem_ros.simulate import terrain as land
 from persem_ros.simulate.materials import GROUND
 from persem_ros.simulate.nature import plant
 from persem_ros.simulate.town import bridge, houses
-from persem_ros.simulate.traffic import movers, parked
+from persem_ros.simulate.traffic import make_fleet, movers, parked
 import trimesh
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
@@ -43,9 +43,8 @@ class Scene:
         return self.caster.intersects_first(np.broadcast_to(origin, directions.shape), directions)
 
 
-def make_scene(solid):
-    """Return the Scene of a shapes.Solid."""
-    vertices, faces, material, tint, base = solid.arrays()
+def make_scene(vertices, faces, material, tint, base):
+    """Return the Scene of what shapes.Solid.arrays() returns."""
     mesh = trimesh.Trimesh(vertices, faces, process=False, validate=False)
     corners = vertices[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -60,24 +59,19 @@ class World:
 
     terrain: object
     scene: Scene
-    movers: tuple
+    fleet: object
 
     def traffic(self, time):
         """Return the Scene of the moving vehicles at *time* in seconds."""
-        solid = shapes.Solid()
-        for mover in self.movers:
-            x, y, yaw = mover.at(time)
-            if mover.y0 == mover.y1 == 0:       # the main road is not straight
-                y += float(land.main_road(x))
-                yaw += np.arctan(float(land.main_road(x + .5) - land.main_road(x - .5)))
-            z = self.deck(x, y)
-            shapes.vehicle(solid, (x, y, z), yaw, mover.tint, mover.truck)
-        return make_scene(solid)
+        x, y, yaw = self.fleet.at(time)
+        z = self.deck(x, y)
+        return make_scene(self.fleet.vertices(x, y, z, yaw), *self.fleet.arrays[1:])
 
     def deck(self, x, y):
-        """Return z of the road at x, y: the ground's, or the bridge's."""
-        z = float(self.terrain.height(np.array([x]), np.array([y]))[0])
-        return max(z, land.BRIDGE_TOP) if abs(x - land.river(y)) < 17 and abs(y) < 12 else z
+        """Return z of the road at x, y (arrays): the ground's, or the bridge's."""
+        z = self.terrain.height(x, y)
+        bridge = (np.abs(x - land.river(y)) < 17) & (np.abs(y) < 12)
+        return np.where(bridge, np.maximum(z, land.BRIDGE_TOP), z)
 
 
 def make_world(seed):
@@ -90,4 +84,4 @@ def make_world(seed):
     bridge(solid)
     parked(solid, rng, terrain)
     plant(solid, rng, terrain, taken)
-    return World(terrain, make_scene(solid), movers(rng))
+    return World(terrain, make_scene(*solid.arrays()), make_fleet(movers(rng)))
