@@ -10,7 +10,7 @@ SOURCE_TEXTS = {
     'history': "the neighbours' histories outweighed it",
     'trust': 'recent, trusted observations, verified by the neighbours',
     'context': "the neighbours' majority"}
-VERDICT_COLORS = ((0, 114, 178), (213, 94, 0))
+VERDICT_COLORS = ((86, 180, 233), (230, 110, 20))
 VERDICTS = ('mended', 'spoilt')
 
 

@@ -54,7 +54,7 @@
         press(verdict, on);
         $$('#frames .second').forEach(item => { item.hidden = !on; });
         $$('#frames .first').forEach(item => { item.hidden = on; });
-        $$('#frames .changed .note:not(.second)').forEach(item => { item.hidden = on; });
+        $$('#frames .changed figcaption > :not(.second)').forEach(item => { item.hidden = on; });
       };
     }
     // The label under the pointer: the picture's own colour, looked up in the legend.

@@ -12,36 +12,41 @@
     precision highp float; precision highp int; precision highp sampler2D;
     in vec4 cell; in vec4 info;
     uniform mat4 modelViewMatrix, projectionMatrix;
-    uniform vec3 middle, eye; uniform vec2 cut; uniform float pixels, most; uniform int mode;
+    uniform vec3 middle, eye; uniform vec2 cut; uniform float pixels, most, everywhere; uniform int mode;
     uniform sampler2D palette, ramp, sources;
-    flat out vec3 color, center, toward; flat out float sprite, lit;
+    flat out vec3 color, toward, open; flat out float sprite, lit;
     void main() {
-      center = cell.xyz + 0.5 - middle;
+      vec3 center = cell.xyz + 0.5 - middle;
       int label = int(cell.w);
       vec4 own = texelFetch(palette, ivec2(label & 255, label >> 8), 0);
       float height = clamp((cell.z - cut.x) / max(cut.y - cut.x, 1.0), 0.0, 1.0);
       float value = mode == 1 ? info.x : mode == 2 ? info.y : 255.0 * height;
       color = mode == 0 ? own.rgb : mode == 3 ? texelFetch(sources, ivec2(int(info.z), 0), 0).rgb
         : texelFetch(ramp, ivec2(int(value), 0), 0).rgb;
-      int sides = int(info.w);
-      vec3 open = vec3(sides >> 1 & 1, sides >> 3 & 1, sides >> 5 & 1)
-                - vec3(sides & 1, sides >> 2 & 1, sides >> 4 & 1);
-      lit = 0.82 + 0.18 * dot(open / max(length(open), 1.0), vec3(-0.37, -0.56, 0.74));
       toward = eye - center;
+      // The faces on the camera's side that no other voxel covers, and their mean brightness.
+      ivec3 bit = ivec3(0, 2, 4) + ivec3(greaterThan(toward, vec3(0.0)));
+      open = vec3((ivec3(int(info.w)) >> bit) & 1);
+      if (cell.z + 1.0 > most) open.z = 1.0;
+      if (open == vec3(0.0)) open = vec3(everywhere);
+      vec3 area = open * abs(toward);
+      lit = dot(area, vec3(0.8, 0.68, toward.z < 0.0 ? 0.55 : 1.0)) /
+            max(area.x + area.y + area.z, 1e-6);
+      open = max(open, vec3(everywhere));
       vec4 seen = modelViewMatrix * vec4(center, 1.0);
       gl_Position = projectionMatrix * seen;
-      sprite = clamp(1.75 * pixels / max(-seen.z, 0.01), 1.5, 500.0);
+      sprite = clamp(2.1 * pixels / max(-seen.z, 0.01), 1.5, 500.0);
       gl_PointSize = sprite;
-      if (own.a == 0.0 || cell.z > most) gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+      if (own.a == 0.0 || cell.z > most || lit == 0.0) gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
     }`;
   const FRAGMENT = `
     precision highp float;
-    flat in vec3 color, center, toward; flat in float sprite, lit;
+    flat in vec3 color, toward, open; flat in float sprite, lit;
     uniform mat3 turn; uniform float pixels;
     out vec4 result;
     void main() {
       float light = lit;
-      if (sprite > 5.0) {
+      if (sprite > 6.0) {
         // In the plane of the cube's centre, across the line of sight of the camera.
         float far = -dot(turn[2], -toward);
         vec2 offset = (gl_PointCoord - 0.5) * vec2(1.0, -1.0) * sprite * far / pixels;
@@ -51,9 +56,9 @@
         float near = max(max(first.x, first.y), first.z);
         if (near > min(min(last.x, last.y), last.z)) discard;
         vec3 face = vec3(equal(first, vec3(near)));
-        float below = ray.z > 0.0 ? 0.55 : 1.0;
-        light = dot(face, vec3(0.8, 0.68, below));
-      } else if (sprite > 2.5 && any(greaterThan(abs(gl_PointCoord - 0.5), vec2(0.36)))) discard;
+        light = dot(face * open, vec3(0.8, 0.68, ray.z > 0.0 ? 0.55 : 1.0));
+        if (light == 0.0) discard;      // another voxel's face lies before this one
+      } else if (sprite > 3.0 && any(greaterThan(abs(gl_PointCoord - 0.5), vec2(0.33)))) discard;
       result = vec4(color * light, 1.0);
     }`;
 
@@ -134,7 +139,7 @@
       glslVersion: THREE.GLSL3, vertexShader: VERTEX, fragmentShader: FRAGMENT,
       uniforms: {
         middle: {value: new THREE.Vector3(...middle)}, eye: {value: new THREE.Vector3()},
-        cut: {value: map.heights}, most: {value: 1e9}, pixels: {value: 1}, mode: {value: 0},
+        cut: {value: map.heights}, most: {value: 1e9}, everywhere: {value: 0}, pixels: {value: 1}, mode: {value: 0},
         palette: {value: palette}, ramp: {value: texture(smooth(map.ramp), 256)},
         sources: {value: texture(map.sources, map.sources.length)},
         turn: {value: new THREE.Matrix3()},
@@ -157,9 +162,8 @@
     camera.up.set(0, 0, 1);
     const controls = new THREE.OrbitControls(camera, canvas);
     controls.enableDamping = false;
-    controls.zoomToCursor = true;
     controls.maxDistance = radius * 12;
-    controls.minDistance = radius / 200;
+    controls.minDistance = radius / 40;
     controls.enabled = !touch;
     controls.enableZoom = false;        // until a click: the wheel scrolls the page
     canvas.style.touchAction = touch ? 'auto' : 'none';
@@ -210,18 +214,30 @@
       camera.updateMatrixWorld();
       const [right, up, back] = [0, 1, 2].map(
         k => new THREE.Vector3().setFromMatrixColumn(camera.matrixWorld, k));
-      const needed = places.map(place => {        // distance from which the place is in sight
+      const seen = places.map(place => {
         const at = new THREE.Vector3(...place);
-        return at.dot(back) + Math.max(Math.abs(at.dot(right)) / wide, Math.abs(at.dot(up)) / tan);
+        return [at.dot(right), at.dot(up), at.dot(back)];
       });
-      camera.position.setLength(1.05 * quantile(needed, 0.996) + 1);
+      // The distance from which most is in sight, and the height at which it lies in the middle.
+      let shift = 0, away = 0;
+      for (let k = 0; k < 4; k++) {
+        away = quantile(seen.map(([r, u, b]) =>
+          b + Math.max(Math.abs(r) / wide, Math.abs(u - shift) / tan)), 0.99) * 1.06 + 1;
+        const heights = seen.filter(([, , b]) => b < 0.9 * away).map(
+          ([, u, b]) => (u - shift) / (away - b));
+        shift += away * (quantile(heights, 0.005) + quantile(heights, 0.995)) / 2;
+      }
+      const middle = up.clone().multiplyScalar(shift);
+      camera.position.copy(middle).addScaledVector(back, away);
+      // Turned about a place in the map, not above or below it.
+      controls.target.copy(middle).addScaledVector(back, -middle.z / back.z);
       controls.update();
       draw();
     };
     controls.addEventListener('change', draw);
     new ResizeObserver(draw).observe(canvas);
     canvas.addEventListener('webglcontextrestored', draw);
-    document.getElementById('reset').onclick = () => look(-0.55, -1, 0.8);
+    document.getElementById('reset').onclick = () => look(-0.55, -1, 0.95);
     document.getElementById('from-above').onclick = () => look(0, -0.001, 1);
     const full = document.getElementById('full');
     full.hidden = !box.requestFullscreen;
@@ -246,6 +262,8 @@
         button.setAttribute('aria-pressed', on);
         palette.image.data[4 * +button.dataset.class + 3] = on ? 255 : 0;
         palette.needsUpdate = true;
+        // What a hidden class covered is to be seen now.
+        uniforms.everywhere.value = +!!document.querySelector('[data-class][aria-pressed="false"]');
         draw();
       };
     }
@@ -258,7 +276,7 @@
       draw();
     };
     slider.oninput();
-    look(-0.55, -1, 0.8);
+    look(-0.55, -1, 0.95);
     box.dataset.ready = 'true';
   }
 })();
