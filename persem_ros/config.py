@@ -9,6 +9,9 @@ from persem_ros.errors import PersemError
 METHODS = ('majority', 'unweighted', 'recency', 'consensus', 'probabilistic',
            'trust', 'context', 'history', 'context_history', 'persem')
 IMAGE_METHODS = ('raw2d', 'ema2d')
+QOS = ('best_effort', 'reliable', 'latched')
+_QOS = 'best_effort', ('best_effort matches every publisher; reliable: nothing is lost; latched: '
+                       'reliable, and the last message of before is asked for')
 
 
 def setting(default, text, unit='', low=None, high=None, choices=None, live=True):
@@ -129,6 +132,12 @@ class Sync:
 
     tolerance: float = setting(0.02, 'largest difference of stamps in a pair', 's', 0.0, 60.0)
     max_wait: float = setting(1.0, 'how long a frame waits for what is missing', 's', 0.0, 600.0)
+    hold: float = setting(
+        0.2, 'how long a frame waits for earlier ones of other cameras (node)', 's', 0.0, 60.0)
+    queue: float = setting(
+        2.0, 'images that wait for longer are dropped, the oldest first (node)', 's', 0.01, 3600.0)
+    queue_bytes: int = setting(
+        1 << 28, 'bound of the images that wait (node)', 'bytes', 1 << 16, 1 << 40)
 
 
 @dataclass(frozen=True)
@@ -144,10 +153,37 @@ class Topics:
 
 
 @dataclass(frozen=True)
+class Qos:
+    """Quality of service of the subscriptions (node)."""
+
+    labels: str = setting(*_QOS, choices=QOS, live=False)
+    depth: str = setting(*_QOS, choices=QOS, live=False)
+    camera_info: str = setting(*_QOS, choices=QOS, live=False)
+    pose: str = setting(*_QOS, choices=QOS, live=False)
+    color: str = setting(*_QOS, choices=QOS, live=False)
+    queue: int = setting(20, 'images of a topic that the middleware keeps; ten times as many '
+                         'camera infos and poses', 'messages', 1, 10000, live=False)
+
+
+@dataclass(frozen=True)
 class Map:
     """The map as a whole."""
 
     path: str = setting('', 'map file to load and save (.persem); empty: none')
+    load: bool = setting(False, 'load map.path at the start (node; a replay always does)',
+                         live=False)
+    save: bool = setting(False, 'save to map.path at the end (node)')
+    rate: float = setting(0.5, 'how often ~/map is published where it changed (node); 0: never',
+                          'Hz', 0.0, 50.0)
+    max_voxels: int = setting(0, 'voxels in ~/map, the most observed ones (node); 0: all',
+                              'voxels', 0, 1 << 32)
+    min_observations: int = setting(1, 'voxels with fewer are left out of ~/map (node)',
+                                    'observations', 1, 1 << 20)
+    crop: float = setting(
+        0.0, 'voxels farther from the camera are left out of ~/map (node); 0: none', 'm', 0.0, 1e6)
+    on_time_jump: str = setting(
+        'keep', 'what becomes of the map when time goes back, as in a recording that loops (node)',
+        choices=('keep', 'reset'))
     origin: tuple = setting(
         (0.0, 0.0, 0.0),
         'point of the map frame that is subtracted from all positions (UTM coordinates)', 'm',
@@ -168,6 +204,9 @@ class Labels:
     legend: str = setting(
         '', 'legend: a shipped name (town, uavscenes, forest, cityscapes) or a YAML file; '
         "empty: the recording's own, else made-up colours", live=False)
+    topic: str = setting(
+        'semantic/legend', 'legend as YAML text, latched; used where labels.legend is empty (node)',
+        live=False)
 
 
 @dataclass(frozen=True)
@@ -182,6 +221,7 @@ class Config:
     pose: Pose = Pose()
     sync: Sync = Sync()
     topics: Topics = Topics()
+    qos: Qos = Qos()
     map: Map = Map()
     ema: Ema = Ema()
     labels: Labels = Labels()

@@ -124,18 +124,20 @@ class Intake:
         for number, station in enumerate(self.stations):
             for match in station.sync.flush() if last else station.sync.advance(now):
                 heapq.heappush(self._ready, (match.stamp, number, match))
-        while self._ready and (last or self.may_leave(*self._ready[0][:2], now)
+        while self._ready and (last or self.may_leave(*self._ready[0], now)
                                or len(self._ready) > READY_MAX):
             stamp, number, match = heapq.heappop(self._ready)
-            station = self.stations[number]
-            frame = self._frame(station, match)
-            station.poses.forget(min(stamp, self.oldest_pending(stamp)))
+            frame = self._frame(self.stations[number], match)
+            self.left(self.stations[number], stamp)
             if frame is not None:
                 yield frame
 
-    def may_leave(self, stamp, number, now):
+    def may_leave(self, stamp, number, match, now):
         """Whether no camera can have an earlier match than this one of camera *number*."""
         raise NotImplementedError
+
+    def left(self, station, stamp):
+        """Take note that the match of *stamp* has left."""
 
     def oldest_pending(self, default):
         """Return the earliest stamp of a label image held, *default* where none is."""

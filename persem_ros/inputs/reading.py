@@ -53,9 +53,13 @@ class Reading(Intake):
         yield from self.leaving(now, True)
         self._conclude()
 
-    def may_leave(self, stamp, number, now):
+    def may_leave(self, stamp, number, match, now):
         """Whether the window and the other cameras have only later images."""
         return len(self.stations) == 1 or stamp < self.oldest_pending(sys.maxsize)
+
+    def left(self, station, stamp):
+        """Forget the poses that only earlier frames would ask for."""
+        station.poses.forget(min(stamp, self.oldest_pending(stamp)))
 
     def oldest_pending(self, default):
         """Return the earliest stamp that may still come."""
