@@ -12,7 +12,7 @@ from persem_ros.core import images
 from persem_ros.core.memory import VoxelMemory
 from persem_ros.core.observe import observe
 from persem_ros.core.refine import refine
-from persem_ros.core.render import filled, render, voxel_image
+from persem_ros.core.render import filled, render, voxel_image, voxel_image_of
 
 
 class Pipeline:
@@ -64,8 +64,11 @@ class Pipeline:
 
     def voxel_image(self, frame, observations=None):
         """Return the voxel number of each depth pixel, int32; -1: no depth or unknown."""
-        observations = observations or self.observe(frame)
-        return voxel_image(self.memory, observations, frame.depth.shape)
+        shape = frame.depth.shape
+        if observations is not None:
+            return voxel_image(self.memory, observations, shape)
+        return voxel_image_of(self.memory, images.backprojected(frame, self.config.memory),
+                              frame.T_map_camera, shape)
 
     @property
     def unknown(self):

@@ -35,8 +35,10 @@ def add_observations(pools, table, places, labels, confidences, t, max_history, 
             if b < 0:
                 b = make_block(blocks, used, table, oi, oj, ok)
             blocks[b].dirty = 1
-        cells = blocks[b].cells
-        cell = ((i & 7) * SIDE + (j & 7)) * SIDE + (k & 7)
+        cells, changed = blocks[b].cells, blocks[b].changed
+        row = (i & 7) * SIDE + (j & 7)
+        cell = row * SIDE + (k & 7)
+        changed[row] |= np.uint8(1 << (k & 7))
         v = np.int64(cells[cell]) - 1
         if v < 0:
             v = used[VOXELS]
@@ -54,9 +56,9 @@ def add_observations(pools, table, places, labels, confidences, t, max_history, 
                 voxel.switches += 1
         n = np.int64(voxel.n)
         number = np.int64(voxel.tail)
-        if n & (CHUNK - 1) == 0 or number == 0:
+        if n % CHUNK == 0 or number == 0:
             number = new_link(voxel, links, free, used, n)
-        write(links[number - 1], n & (CHUNK - 1), c, confidences[p], t)
+        write(links[number - 1], n % CHUNK, c, confidences[p], t)
         if max_history > 0 and n + 1 - np.int64(voxel.first) >= max_history + CHUNK:
             drop_oldest(voxel, links, retired, used)
         if not add_here(voxel, c, np.float64(confidences[p])):
@@ -69,7 +71,6 @@ def add_observations(pools, table, places, labels, confidences, t, max_history, 
             voxel.source = 0
         voxel.n = n + 1
         voxel.last = c
-        voxel.dirty = 1
     used[OBSERVATIONS] += added
     used[STORED] += added
 

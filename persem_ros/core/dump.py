@@ -9,7 +9,7 @@ from persem_ros.core.blocks import count_blocks, make_block, new_table
 from persem_ros.core.fusion import link_of
 from persem_ros.core.jit import kernel
 from persem_ros.core.memory import FrameRecord, VoxelMemory, sort_order
-from persem_ros.core.pools import CELLS, CHUNK, OBSERVATIONS, STORED, VOXELS
+from persem_ros.core.pools import CHUNK, OBSERVATIONS, STORED, VOXELS
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +98,8 @@ def dump(memory):
         memory.voxel_size, memory.origin, memory.max_history, memory.session,
         pools.blocks['index'][order], np.concatenate([[0], np.cumsum(counts)]),
         cell.astype(np.uint16), observations, records['switches'], records['label'],
-        records['majority'], records['last'], records['source'], records['dirty'],
+        records['majority'], records['last'], records['source'],
+        pools.blocks['changed'][block, cell >> 3] >> (cell & 7).astype(np.uint8) & 1,
         evidence_start, *evidence, history_start, *history, pools.starts.copy(),
         pools.changes.copy(), memory.seen_ids.copy(),
         None if memory.rho is None else memory.rho.copy(), list(memory.frames))
@@ -116,9 +117,10 @@ def load(saved):
     voxels = memory.m.voxels[:n]
     for field, column in (('switches', saved.switches), ('label', saved.label),
                           ('majority', saved.majority), ('last', saved.last),
-                          ('source', saved.source), ('dirty', saved.dirty)):
+                          ('source', saved.source)):
         voxels[field] = column
-    _mark_blocks(memory.m.blocks, len(saved.block_index), memory.m.voxels)
+    block = np.repeat(np.arange(len(saved.block_index)), np.diff(saved.block_start))
+    _mark_changed(memory.m.blocks, block, saved.cell, saved.dirty)
     memory.m.used[OBSERVATIONS] = int(saved.observations.sum(dtype=np.int64))
     memory.m.used[STORED] = len(saved.history_t)
     memory.m.starts[:] = saved.starts
@@ -190,10 +192,10 @@ def _write(pools, table, index, block_start, cell, observations, evidence_start,
 
 
 @kernel
-def _mark_blocks(blocks, n_blocks, voxels):
-    """Mark the blocks that hold a changed voxel."""
-    for b in range(n_blocks):
-        for cell in range(CELLS):
-            v = np.int64(blocks[b].cells[cell])
-            if v > 0 and voxels[v - 1].dirty:
-                blocks[b].dirty = 1
+def _mark_changed(blocks, block, cell, dirty):
+    """Mark the cells whose evidence has changed since a refinement began."""
+    for v in range(len(cell)):
+        if dirty[v]:
+            changed = blocks[block[v]].changed
+            changed[np.int64(cell[v]) >> 3] |= np.uint8(1 << (np.int64(cell[v]) & 7))
+            blocks[block[v]].dirty = 1

@@ -59,7 +59,7 @@ def explain(memory, voxel, settings):
         'replayed': replayed, 'candidate': None, 'replay_margin': None, 'hard_margin': None,
         'soft_margin': None, 'label': majority, 'source': MAJORITY,
         'stored_label': int(record['label']), 'stored_source': int(record['source']),
-        'changed': bool(record['dirty'])}
+        'changed': memory.changed(voxel)}
     if n:
         trace['anchor'] = {c: (1 - settings.eta) * shares.get(c, 0.0)
                            + settings.eta * soft.get(c, 0.0) for c in sorted({*shares, *soft})}

@@ -83,7 +83,7 @@ def fuse(begin, end, scratch, links, start, snapshot_classes, majority, observat
         if start[r + 1] - start[r] == 1:
             labels[r] = c_M
             continue
-        n_classes, base = 0, 0.0
+        n_classes = 0
         n = np.int64(observations[r])
         newest = last_time(links, head[r], first[r], n)
         at = oldest(n, first[r], max_history)
@@ -102,13 +102,15 @@ def fuse(begin, end, scratch, links, start, snapshot_classes, majority, observat
                 if mode == CONSENSUS and i > at and winner(classes, sums, n_classes, c_M) == c:
                     weight *= 1.0 + beta
             elif n_ids >= 2:
-                # Every class but c gets (1 - s) / (K - 1): book it once and take it off c.
-                rest = (1.0 - s) / (n_ids - 1)
-                base += rest
-                weight = s - rest
+                # Every class but c gets (1 - s) / (K - 1). What all of them get changes no
+                # argmax: take it off c instead.
+                weight = s - (1.0 - s) / (n_ids - 1)
             k = place_of(classes, n_classes, c)
             if k == n_classes:
                 classes[k], sums[k] = c, 0.0
                 n_classes += 1
             sums[k] += weight
+        if mode == PROBABILISTIC and place_of(classes, n_classes, c_M) == n_classes:
+            classes[n_classes], sums[n_classes] = c_M, 0.0      # beyond a bounded history
+            n_classes += 1
         labels[r] = winner(classes, sums, n_classes, c_M)

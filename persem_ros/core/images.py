@@ -26,13 +26,18 @@ def points(frame, settings):
         The pixel's id; -1 where it does not count.
 
     """
+    labels = counted(resampled(frame.labels, frame.depth.shape), settings)
+    return backprojected(frame, settings), labels.reshape(-1)
+
+
+def backprojected(frame, settings):
+    """Return the points alone, as in points()."""
     depth = np.require(frame.depth, np.float64, 'CW')
-    labels = counted(resampled(frame.labels, depth.shape), settings)
-    result = np.empty((depth.size, 3))
     rays = np.require(frame.camera.rays, np.float64, 'CW')
+    result = np.empty(depth.shape + (3,))
     split(backproject, depth.shape[0], depth, rays, float(settings.min_depth),
-          float(settings.max_depth), result.reshape(depth.shape + (3,)), grain=64)
-    return result, labels.reshape(-1)
+          float(settings.max_depth), result, grain=64)
+    return result.reshape(-1, 3)
 
 
 def resampled(labels, shape):
@@ -62,13 +67,13 @@ def check_aspect(labels, depth):
 def counted(labels, settings):
     """Return a copy of *labels*, int32, with -1 for each pixel that does not count."""
     table = _table(tuple(settings.ignore_labels), tuple(settings.dynamic_labels))
-    labels = np.require(labels, np.int32, 'C')
-    result = table[np.clip(labels, -1, MAX_ID + 1)]
+    labels = np.require(labels, np.int32, 'CW')
+    result = np.empty(labels.shape, np.int32)
+    split(_count, labels.shape[0], labels, table, result, grain=64)
     if settings.stride > 1:
-        kept = np.full(result.shape, IGNORED, np.int32)
-        kept[::settings.stride, ::settings.stride] = \
-            result[::settings.stride, ::settings.stride]
-        return kept
+        left_out = np.ones(labels.shape, bool)
+        left_out[::settings.stride, ::settings.stride] = False
+        result[left_out] = IGNORED
     return result
 
 
@@ -76,14 +81,22 @@ _tables = {}
 
 
 def _table(ignored, dynamic):
-    """Return a look-up table id -> id or -1; its last places are for 65535 and for -1."""
+    """Return a look-up table id -> id or -1 for 0 .. 65534."""
     key = ignored + dynamic
     if key not in _tables:
-        table = np.arange(MAX_ID + 3, dtype=np.int32)
-        table[[MAX_ID + 1, MAX_ID + 2]] = IGNORED
+        table = np.arange(MAX_ID + 1, dtype=np.int32)
         table[[c for c in key if 0 <= c <= MAX_ID]] = IGNORED
         _tables[key] = table
     return _tables[key]
+
+
+@kernel
+def _count(begin, end, labels, table, out):
+    """Write the id of each pixel of rows begin .. end that counts, -1 for the others."""
+    for v in range(begin, end):
+        for u in range(labels.shape[1]):
+            c = labels[v, u]
+            out[v, u] = table[c] if 0 <= c <= MAX_ID else IGNORED
 
 
 @kernel

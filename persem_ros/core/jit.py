@@ -1,6 +1,7 @@
 """All of the numba machinery: one decorator, one way to use several cores, one warm-up."""
 
 from concurrent.futures import ThreadPoolExecutor
+import ctypes
 import functools
 import hashlib
 import logging
@@ -54,10 +55,11 @@ def cache_folder():
                  Path(home) / 'persem_ros', Path(tempfile.gettempdir()) / f'persem-{os.getuid()}'):
         folder = Path(root or os.devnull) / name
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(0o700, parents=True, exist_ok=True)
+            own = folder.stat().st_uid == os.getuid()   # numba unpickles what it finds there
         except OSError:
             continue
-        if os.access(folder, os.W_OK):
+        if own and os.access(folder, os.W_OK):
             return str(folder)
     return str(folder)      # numba says what is wrong with it
 
@@ -109,6 +111,23 @@ def split(function, n, *arguments, grain=4096):
     jobs = [_pool.submit(function, a, b, *arguments) for a, b in zip(edges[1:-1], edges[2:])]
     first = function(edges[0], edges[1], *arguments)
     return [first] + [job.result() for job in jobs]
+
+
+def keep_memory():
+    """
+    Have the C library keep freed memory for the next frame instead of giving it back.
+
+    A frame takes and frees some 20 MB; faulting them in anew each time was a third of the time
+    of integrating it (14.2 ms against 9.9 ms). Without glibc nothing happens.
+
+    """
+    M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+    except (AttributeError, OSError):
+        return
+    mallopt(M_MMAP_THRESHOLD, 1 << 25)      # glibc's largest
+    mallopt(M_TRIM_THRESHOLD, 1 << 28)
 
 
 class Announcement:

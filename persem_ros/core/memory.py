@@ -181,6 +181,14 @@ class VoxelMemory:
         return tuple(links[name][chain].reshape(-1)[oldest - skipped:n - skipped]
                      for name in 'cst')
 
+    def changed(self, voxel):
+        """Return whether a voxel's evidence changed since a refinement began."""
+        self.number(voxel)
+        blocks = self.m.blocks[:self.n_blocks]
+        x, y, z = (int(i) for i in voxel)
+        here = np.flatnonzero((blocks['index'] == (x >> 3, y >> 3, z >> 3)).all(axis=1))[0]
+        return bool(blocks['changed'][here, (x & 7) * 8 + (y & 7)] >> (z & 7) & 1)
+
     def evidence(self, voxel):
         """Return {class: h_v(class)} of a voxel."""
         v = self.number(voxel)

@@ -10,6 +10,7 @@ from persem_ros.frames import MAX_ID, UNKNOWN
 
 NOWHERE = np.int64(-1)      # key of a point without a place
 MIX = np.uint64(0x9E3779B97F4A7C15)     # Fibonacci hashing
+REACH = 1 << 20             # farthest voxel from the sensor's own, along each axis
 LIMIT = 2.0 ** 31 - 2.0 ** 21           # voxel indices are int32, with room for the reach
 
 
@@ -56,7 +57,8 @@ def observe(points, labels, T_map_sensor, voxel_size, min_pixels=1, origin=(0.0,
     Parameters
     ----------
     points : ndarray, shape (N, 3), float64
-        Metres in the sensor frame; NaN or infinity: no measurement.
+        Metres in the sensor frame; NaN or infinity: no measurement. A point a million voxels
+        (REACH) away from the sensor has no place either.
     labels : ndarray, shape (N,), int32
         Class ids; below 0 or above 65534: the point is placed but not counted.
     T_map_sensor : ndarray, shape (4, 4), float64
@@ -73,9 +75,29 @@ def observe(points, labels, T_map_sensor, voxel_size, min_pixels=1, origin=(0.0,
         Name of the sensor.
 
     """
-    points = np.require(points, np.float64, 'CW').reshape(-1, 3)
     labels = np.require(labels, np.int32, 'CW').reshape(-1)
-    T = np.array(T_map_sensor, np.float64)
+    keys, base = place(points, T_map_sensor, voxel_size, origin)
+    where = np.empty(len(keys), np.int32)
+    voxels, best, confidence, seen = group(keys, base, labels, int(min_pixels), where)
+    return Observations(voxels, best, confidence, where,
+                        np.flatnonzero(seen).astype(np.uint16), int(stamp),
+                        np.array(T_map_sensor, np.float64), sensor)
+
+
+def place(points, T_map_sensor, voxel_size, origin=(0.0, 0.0, 0.0)):
+    """
+    Return the voxel of each point as (keys, base); parameters as in observe().
+
+    Returns
+    -------
+    keys : ndarray, shape (N,), int64
+        Voxel index minus base plus 2 ** 20 per axis, 21 bits each; NOWHERE for none.
+    base : ndarray, shape (3,), int64
+        The sensor's own voxel.
+
+    """
+    points = np.require(points, np.float64, 'CW').reshape(-1, 3)
+    T = np.asarray(T_map_sensor, np.float64)
     pose = np.concatenate([T[:3, :3].ravel(), T[:3, 3] - np.asarray(origin, np.float64)])
     base = np.floor(pose[9:] / voxel_size)
     if not np.abs(base).max() < LIMIT:
@@ -84,11 +106,7 @@ def observe(points, labels, T_map_sensor, voxel_size, min_pixels=1, origin=(0.0,
             'expected finite coordinates near map.origin')
     keys = np.empty(len(points), np.int64)
     split(locate, len(points), points, pose, base, float(voxel_size), keys, grain=32768)
-    where = np.empty(len(points), np.int32)
-    voxels, best, confidence, seen = group(
-        keys, base.astype(np.int64), labels, int(min_pixels), where)
-    return Observations(voxels, best, confidence, where,
-                        np.flatnonzero(seen).astype(np.uint16), int(stamp), T, sensor)
+    return keys, base.astype(np.int64)
 
 
 @kernel
@@ -100,7 +118,7 @@ def locate(start, stop, points, pose, base, voxel_size, keys):
     point without a place (NaN, or a million voxels away).
 
     """
-    reach = 2.0 ** 20
+    reach = np.float64(REACH)
     for p in range(start, stop):
         x, y, z = points[p, 0], points[p, 1], points[p, 2]
         i = np.floor((pose[0] * x + pose[1] * y + pose[2] * z + pose[9]) / voxel_size) - base[0]
@@ -124,8 +142,8 @@ def group(keys, base, labels, min_pixels, where):
     """
     Gather points by voxel and vote: the heart of observe().
 
-    A point in the voxel of its predecessor, or of the one before that, needs no look-up: that
-    is most of them in an image's row.
+    A point in the voxel of its predecessor, or of the one before, needs no look-up: three in five
+    of an image's. (Asking the pixel above saves more look-ups and is slower: branches mispredict.)
 
     """
     table = np.zeros(1 << 14, np.int32)
@@ -158,8 +176,8 @@ def group(keys, base, labels, min_pixels, where):
                 tallies[g].id = -1
                 tallies[g].count = 0
                 tallies[g].more = -1
-                if 2 * n > len(table):
-                    bits -= np.uint64(2)
+                if 10 * n > 7 * len(table):     # a table of 40 000 voxels fits the cache
+                    bits -= np.uint64(1)
                     table = _grown(table, bits, tallies, n)
             older, older_key, last, last_key = last, last_key, g, key
         where[p] = g
@@ -178,9 +196,9 @@ def group(keys, base, labels, min_pixels, where):
     voxels = np.empty((n, 3), np.int32)
     for g in range(n):
         key = tallies[g].key
-        voxels[g, 0] = (key >> 42) - (1 << 20) + base[0]
-        voxels[g, 1] = (key >> 21 & 0x1fffff) - (1 << 20) + base[1]
-        voxels[g, 2] = (key & 0x1fffff) - (1 << 20) + base[2]
+        voxels[g, 0] = (key >> 42) - REACH + base[0]
+        voxels[g, 1] = (key >> 21 & 0x1fffff) - REACH + base[1]
+        voxels[g, 2] = (key & 0x1fffff) - REACH + base[2]
     best, confidence = _vote(np.int64(n), min_pixels, tallies, extras)
     return voxels, best, confidence, seen
 
@@ -203,8 +221,8 @@ def _count_extra(tallies, extras, n_extras, g, c):
 
 @kernel
 def _grown(table, bits, tallies, n):
-    """Return a table four times as large that holds the first n tallies."""
-    table = np.zeros(4 * len(table), np.int32)
+    """Return a table twice as large that holds the first n tallies."""
+    table = np.zeros(2 * len(table), np.int32)
     for g in range(n):
         slot = np.int64((np.uint64(tallies[g].key) * MIX) >> bits)
         while table[slot] != 0:

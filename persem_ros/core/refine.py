@@ -62,7 +62,7 @@ def begin(memory, settings, full=True):
     rules = settings, n_ids if settings.method == 'probabilistic' else 0
     everywhere = memory.refined_with != rules
     memory.refined_with = rules
-    taken = snapshot.take(memory, None if everywhere else directions(settings.neighbours))
+    taken = snapshot.take(memory, None if everywhere else settings.neighbours)
     snapshot.settle(memory)
     memory.refinements += 1
     return Job(memory, settings, taken, memory.rho, n_ids)

@@ -2,7 +2,10 @@
 
 import numpy as np
 
+from persem_ros.core.blocks import find_block
 from persem_ros.core.jit import kernel, split
+from persem_ros.core.observe import NOWHERE, place, REACH
+from persem_ros.core.pools import SIDE
 from persem_ros.frames import UNKNOWN
 
 
@@ -16,6 +19,14 @@ def voxel_image(memory, observations, shape):
     numbers = memory.find(observations.voxels)
     image = np.empty(observations.where.shape, np.int32)
     split(_number, len(image), observations.where, numbers, image, grain=65536)
+    return image.reshape(shape)
+
+
+def voxel_image_of(memory, points, T_map_sensor, shape):
+    """Return the same for points (N, 3) in the sensor frame that were not observed."""
+    keys, base = place(points, T_map_sensor, memory.voxel_size, memory.origin)
+    image = np.empty(len(keys), np.int32)
+    split(_find, len(keys), memory.m.blocks, memory.table, keys, base, image, grain=32768)
     return image.reshape(shape)
 
 
@@ -90,6 +101,27 @@ def _number(begin, end, where, numbers, image):
     for p in range(begin, end):
         g = where[p]
         image[p] = numbers[g] if g >= 0 else -1
+
+
+@kernel
+def _find(begin, end, blocks, table, keys, base, image):
+    """Write the voxel number of each key (core.observe.place)."""
+    b = np.int64(-1)
+    oi, oj, ok = np.int64(1 << 40), np.int64(0), np.int64(0)
+    for p in range(begin, end):
+        key = keys[p]
+        image[p] = -1
+        if key == NOWHERE:
+            continue
+        i = (key >> 42) - REACH + base[0]
+        j = (key >> 21 & 0x1fffff) - REACH + base[1]
+        k = (key & 0x1fffff) - REACH + base[2]
+        if i >> 3 != oi or j >> 3 != oj or k >> 3 != ok:    # most follow one of the same block
+            oi, oj, ok = i >> 3, j >> 3, k >> 3
+            b = find_block(blocks, table, oi, oj, ok)
+        if b >= 0:
+            cells = blocks[b].cells
+            image[p] = np.int64(cells[((i & 7) * SIDE + (j & 7)) * SIDE + (k & 7)]) - 1
 
 
 @kernel

@@ -13,9 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from persem_ros.core.append import count_classes, read_evidence
-from persem_ros.core.blocks import list_voxels, step
 from persem_ros.core.jit import kernel, split
-from persem_ros.core.pools import CELLS
+from persem_ros.core.pools import ROWS, SIDE
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,11 +57,11 @@ class Snapshot:
 
 def take(memory, neighbours=None):
     """
-    Return a Snapshot of the whole map or, with the *directions* of neighbours, of what changed.
+    Return a Snapshot of the whole map or, with a neighbourhood, of what changed.
 
-    With *neighbours* (core.blocks.directions) the voxels to be refined are those whose own or
-    neighbouring evidence changed since the last call of settle(); the snapshot holds all voxels
-    of their blocks and of the blocks around, which is cheaper to list than the exact ring.
+    With *neighbours* (6, 18 or 26) the voxels to be refined are those whose own or neighbouring
+    evidence changed since the last call of settle(); the snapshot holds these and the ring
+    around them.
 
     """
     pools = memory.m
@@ -87,23 +86,29 @@ def take(memory, neighbours=None):
 
 def settle(memory):
     """Mark every voxel as unchanged: a refinement has been handed all changes so far."""
-    pools = memory.m
-    _settle(np.flatnonzero(pools.blocks['dirty'][:memory.n_blocks]), pools.blocks, pools.voxels)
+    blocks = memory.m.blocks
+    dirty = np.flatnonzero(blocks['dirty'][:memory.n_blocks])
+    blocks['changed'][dirty] = 0
+    blocks['dirty'][dirty] = 0
 
 
 def _changed(memory, neighbours):
     """Return (block, cell, number) of the snapshot's voxels, refined ones first, and how many."""
-    blocks, voxels = memory.m.blocks, memory.m.voxels
-    dirty = np.flatnonzero(blocks['dirty'][:memory.n_blocks])
-    marks = np.zeros(memory.n_voxels, np.uint8)
-    _mark(dirty, blocks, voxels, neighbours, marks)
-    nearby = _around(blocks, dirty, memory.n_blocks)        # where marked voxels may lie
-    further = _around(blocks, nearby, memory.n_blocks)      # and their neighbours
+    blocks, n = memory.m.blocks, memory.n_blocks
+    dirty = np.flatnonzero(blocks['dirty'][:n])
+    reach = {6: 0, 18: 1, 26: 2}[neighbours]
+    marks, needed = np.zeros((n, ROWS), np.uint8), np.zeros((n, ROWS), np.uint8)
+    marks[dirty] = blocks['changed'][dirty]
+    nearby = _around(blocks, dirty, n)
+    dilate(blocks, nearby, marks.copy(), reach, marks)
+    further = _around(blocks, nearby, n)
+    dilate(blocks, further, marks, reach, needed)
     size = int(blocks['count'][further].sum())
     block, cell, number = (np.empty(size, np.int64) for _ in range(3))
-    list_voxels(blocks, further, block, cell, number)
-    order = np.argsort(marks[number] == 0, kind='stable')
-    return block[order], cell[order], number[order], int(np.count_nonzero(marks[number]))
+    refined = list_marked(blocks, nearby, marks, block, cell, number, 0)
+    needed[nearby] &= ~marks[nearby]
+    total = list_marked(blocks, further, needed, block, cell, number, refined)
+    return block[:total], cell[:total], number[:total], refined
 
 
 def _around(blocks, numbers, n_blocks):
@@ -115,35 +120,66 @@ def _around(blocks, numbers, n_blocks):
 
 
 @kernel
-def _mark(numbers, blocks, voxels, neighbours, marks):
-    """Mark the changed voxels of the given blocks and their neighbours."""
+def dilate(blocks, numbers, rows, reach, out):
+    """
+    Write the cells of the given blocks that are marked or neighbours of a marked cell.
+
+    A block's marks are 64 rows of 8 bits, along z. reach is 0, 1, 2 for 6, 18, 26 neighbours:
+    a step along both x and y may then go on along z (26), or not (18), or is none (6).
+
+    """
+    padded = np.zeros((10, 10), np.uint16)      # bits 1 .. 8 are the block's own z
     for b in numbers:
-        block = blocks[b]
-        cells = block.cells
-        for cell in range(CELLS):
-            v = np.int64(cells[cell]) - 1
-            if v < 0 or voxels[v].dirty == 0:
-                continue
-            marks[v] = 1
-            for d in neighbours:
-                other, place = step(block, cell, d)
-                if other > 0:
-                    beside = blocks[other - 1].cells
-                    u = np.int64(beside[place])
-                    if u > 0:
-                        marks[u - 1] = 1
+        near = blocks[b].near
+        for x in range(10):
+            for y in range(10):
+                column = (((x + 7) >> 3) * 3 + ((y + 7) >> 3)) * 3
+                row = ((x + 7) & 7) * SIDE + ((y + 7) & 7)
+                below, own, above = near[column], near[column + 1], near[column + 2]
+                bits = np.uint16(0)
+                if own:
+                    bits |= np.uint16(rows[own - 1, row]) << np.uint16(1)
+                if below:
+                    bits |= np.uint16(rows[below - 1, row]) >> np.uint16(7)
+                if above:
+                    bits |= np.uint16(rows[above - 1, row] & 1) << np.uint16(9)
+                padded[x, y] = bits
+        for x in range(SIDE):
+            for y in range(SIDE):
+                own = padded[x + 1, y + 1]
+                cross = padded[x, y + 1] | padded[x + 2, y + 1] | padded[x + 1, y] \
+                    | padded[x + 1, y + 2]
+                corners = padded[x, y] | padded[x, y + 2] | padded[x + 2, y] \
+                    | padded[x + 2, y + 2]
+                still = own | cross
+                if reach >= 1:
+                    still |= corners
+                moved = own
+                if reach >= 1:
+                    moved |= cross
+                if reach == 2:
+                    moved |= corners
+                still |= moved << np.uint16(1) | moved >> np.uint16(1)
+                out[b, x * SIDE + y] = np.uint8(still >> np.uint16(1) & np.uint16(255))
 
 
 @kernel
-def _settle(numbers, blocks, voxels):
-    """Clear the marks of change in the given blocks."""
+def list_marked(blocks, numbers, rows, block_of, cell_of, voxel_of, n):
+    """List the marked voxels of the given blocks from place n on; return the end."""
     for b in numbers:
-        blocks[b].dirty = 0
         cells = blocks[b].cells
-        for cell in range(CELLS):
-            v = np.int64(cells[cell])
-            if v > 0:
-                voxels[v - 1].dirty = 0
+        for row in range(ROWS):
+            bits = np.int64(rows[b, row])
+            if bits == 0:
+                continue
+            for z in range(SIDE):
+                if bits >> z & 1:
+                    cell = row * SIDE + z
+                    v = np.int64(cells[cell])
+                    if v > 0:
+                        block_of[n], cell_of[n], voxel_of[n] = b, cell, v - 1
+                        n += 1
+    return n
 
 
 @kernel

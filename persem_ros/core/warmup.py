@@ -5,11 +5,12 @@ import numpy as np
 from persem_ros.config import METHODS, Memory, Refine
 from persem_ros.core.dump import dump, load
 from persem_ros.core.images import points
+from persem_ros.core.jit import keep_memory
 from persem_ros.core.memory import VoxelMemory
 from persem_ros.core.observe import observe
 from persem_ros.core.refine import label, refine
 from persem_ros.core.regions import regions
-from persem_ros.core.render import render, voxel_image
+from persem_ros.core.render import render, voxel_image, voxel_image_of
 from persem_ros.core.smoothing import EmaImages
 from persem_ros.frames import Frame, pinhole
 
@@ -19,9 +20,10 @@ def warm_up():
     Compile all kernels of the core, or load them from the cache.
 
     The first time takes up to 20 s, later ones well below a second (core.jit.Announcement says
-    so to the user).
+    so to the user). Besides it tells the C library to keep freed memory (keep_memory).
 
     """
+    keep_memory()
     memory = VoxelMemory(0.01, max_history=8)       # small voxels: tables grow, too
     camera = pinhole(160, 120, 100.0, 100.0, 80.0, 60.0)
     labels = (np.arange(120 * 160, dtype=np.int32) % 3).reshape(120, 160)
@@ -40,5 +42,7 @@ def warm_up():
     first = memory.voxels()['voxel'][0]
     memory.evidence(first)
     regions(memory)
-    render(voxel_image(memory, seen, depth.shape), label(memory, 'majority', Refine())[0])
+    labelled = label(memory, 'majority', Refine())[0]
+    render(voxel_image(memory, seen, depth.shape), labelled)
+    render(voxel_image_of(memory, placed, frame.T_map_camera, depth.shape), labelled)
     EmaImages(0.5).update(labels)
