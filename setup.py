@@ -36,6 +36,8 @@ setup(
                  'flake8-comprehensions', 'flake8-deprecated', 'flake8-docstrings',
                  'flake8-import-order', 'flake8-quotes', 'pydocstyle'],
         'bench': ['octomap-python>=1.8', 'open3d>=0.18', 'psutil>=5.9'],
+        'cluster': ['distributed>=2024.1'],
+        'evaluate': ['matplotlib>=3.7'],
         'viewer': ['rerun-sdk>=0.23'],
     },
     data_files=[

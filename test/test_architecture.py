@@ -34,7 +34,7 @@ MAY_IMPORT = {
     'replay': LIBRARIES | {'ahead', 'rendering'},
     'convert': NOUNS | {'core.geometry', 'inputs', 'outputs'},
     'simulate': NOUNS | {'core.geometry', 'inputs', 'outputs'},
-    'evaluate': LIBRARIES | {'ahead', 'rendering', 'replay'},
+    'evaluate': LIBRARIES | {'ahead', 'convert'},
     'commands': LIBRARIES | {'replay', 'convert', 'simulate', 'evaluate'},
     'cli': NOUNS | {'commands'},
     'ros': LIBRARIES,

@@ -1,0 +1,71 @@
+"""persem evaluate: from recordings with truth to tables, figures and intervals."""
+
+from persem_ros.commands import add_settings
+
+
+def add_parser(subparsers):
+    """Add the sub-command and its options."""
+    parser = subparsers.add_parser(
+        'evaluate', help='compare all methods on recordings with truth',
+        description='Reads each recording twice, labels its map by every method and measures '
+                    'all of them on the same pixels: accuracy, mean IoU and flicker, in '
+                    'difficult regions too, with intervals. What is finished is not computed '
+                    'again.',
+        epilog='example: persem evaluate flight1 flight2 --out result --labels town')
+    parser.add_argument('bags', metavar='BAG', nargs='+', help='rosbag2 recordings')
+    parser.add_argument('--out', metavar='DIR', help='folder of the results (default: only the '
+                                                     'tables, on standard output)')
+    parser.add_argument('--methods', metavar='A,B', default='all',
+                        help='methods to be compared (default: all twelve)')
+    add_evaluation(parser)
+    parser.add_argument('--no-figures', action='store_true', help='tables only')
+    add_settings(parser)
+    parser.set_defaults(run=run)
+
+
+def add_evaluation(parser):
+    """Add what persem evaluate and persem sweep share."""
+    parser.add_argument('--labels', metavar='NAME', default='',
+                        help='taxonomy: a shipped legend or a YAML file; ids that it does not '
+                             'have, or calls ignored, do not count (default: all ids count)')
+    parser.add_argument('--grouped', action='store_true',
+                        help="count a group of the taxonomy as one class (the recording's own "
+                             'legend without --labels)')
+    parser.add_argument('--no-dynamic', action='store_true',
+                        help='leave classes of things that move out of the measures')
+    parser.add_argument('--predictions', metavar='DIR', default='',
+                        help='label images that take the place of the recorded ones, named by '
+                             'their stamps; with several recordings one folder each below DIR')
+    parser.add_argument('--workers', metavar='N', type=int, default=0,
+                        help='processes side by side (default: one per core)')
+    parser.add_argument('--scheduler', metavar='ADDRESS', default='',
+                        help='let a dask cluster do the work, for example tcp://host:8786')
+    parser.add_argument('--force', action='store_true',
+                        help='give up results of other settings in DIR')
+
+
+def methods_of(text):
+    """Return the methods that an option names."""
+    from persem_ros.config import IMAGE_METHODS, METHODS
+    return IMAGE_METHODS + METHODS if text == 'all' else \
+        tuple(word.strip() for word in text.split(',') if word.strip())
+
+
+def run(args):
+    """Evaluate the recordings; print the tables."""
+    from contextlib import nullcontext
+    from tempfile import TemporaryDirectory
+
+    from persem_ros import config_file
+    from persem_ros.evaluate.run import evaluate
+    from persem_ros.evaluate.table import console
+    from persem_ros.evaluate.tables import tables
+    config = config_file.from_args(args.config, args.set_items)
+    with nullcontext(args.out) if args.out else TemporaryDirectory(prefix='persem-') as out:
+        evaluation = evaluate(
+            args.bags, out, config, methods_of(args.methods), args.labels, args.grouped,
+            not args.no_dynamic, args.predictions, args.workers, args.scheduler, args.force,
+            bool(args.out) and not args.no_figures)
+    print('\n\n'.join(map(console, tables(evaluation))))
+    if args.out:
+        print(f'\nresults in {args.out}')

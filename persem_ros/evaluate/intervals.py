@@ -1,0 +1,93 @@
+"""
+Paired block bootstrap: how sure the difference between two methods is.
+
+Consecutive frames are anything but independent, so whole stretches of them are drawn with
+replacement, the same ones for both methods, and the measures are computed anew from what was
+drawn. The map itself is not rebuilt: the interval says how much of a difference comes from which
+frames were looked at, not from which flight was flown.
+
+"""
+
+import numpy as np
+
+from persem_ros.evaluate.counting import PLACES
+from persem_ros.evaluate.measures import MEASURES, measure, number
+
+RESAMPLES = 2000
+COVERED = 95.0          # percent
+FEWEST = 5              # blocks; fewer say nothing
+CHUNK = 200             # resamples at a time: bounded memory
+
+
+def resampled(blocks, seed=0, resamples=RESAMPLES):
+    """
+    Return the measures of resamples of a sequence.
+
+    Parameters
+    ----------
+    blocks : dict of str to ndarray
+        counting.Block's arrays with the blocks as first axis.
+    seed : int
+        Of the draws.
+
+    Returns
+    -------
+    ndarray, shape (resamples, places, methods, 3), float64
+        NaN throughout for a sequence of fewer than FEWEST blocks.
+
+    """
+    n = len(blocks['pixels'])
+    n_methods = blocks['hits'].shape[2]
+    if n < FEWEST:
+        return np.full((resamples, len(PLACES), n_methods, len(MEASURES)), np.nan)
+    draws = np.random.default_rng(seed).multinomial(n, np.full(n, 1.0 / n), resamples)
+    names = ('hits', 'predicted', 'true', 'changed', 'pairs')
+    parts = []
+    for weights in np.array_split(draws.astype(np.float64), -(-resamples // CHUNK)):
+        drawn = {name: (weights @ blocks[name].reshape(n, -1)).reshape(
+            len(weights), *blocks[name].shape[1:]) for name in names}
+        parts.append(measure(**drawn))
+    return np.concatenate(parts)
+
+
+def differences(sequences, methods, base, resamples=RESAMPLES):
+    """
+    Return the macro-averaged gain of each method over *base* with its interval.
+
+    Parameters
+    ----------
+    sequences : sequence of dict
+        The blocks of each sequence.
+    methods : sequence of str
+    base : str
+        One of them.
+
+    Returns
+    -------
+    dict
+        By place, method and measure: value (points; negative is less), low and high (the
+        interval, None where there are too few frames), better and worse (number of sequences
+        whose value rises or falls).
+
+    """
+    point = np.stack([measure(**{name: array.sum(0) for name, array in blocks.items()
+                                 if name in ('hits', 'predicted', 'true', 'changed', 'pairs')})
+                      for blocks in sequences])         # (sequences, places, methods, 3)
+    b = list(methods).index(base)
+    each = point - point[:, :, b:b + 1]
+    known = np.isfinite(each)
+    total = np.zeros((resamples, *each.shape[1:]))
+    for seed, blocks in enumerate(sequences):
+        drawn = resampled(blocks, seed, resamples)
+        total += np.where(known[seed], drawn - drawn[:, :, b:b + 1], 0.0)
+    with np.errstate(invalid='ignore'):
+        total /= known.sum(0)
+        value = np.where(known, each, 0.0).sum(0) / known.sum(0)
+    edge = (100.0 - COVERED) / 2
+    low, high = np.percentile(total, [edge, 100.0 - edge], axis=0)
+    rises, falls = (known & (each > 0)).sum(0), (known & (each < 0)).sum(0)
+    return {place: {name: {key: {
+        'value': number(value[p, m, k]), 'low': number(low[p, m, k]),
+        'high': number(high[p, m, k]), 'rises': int(rises[p, m, k]),
+        'falls': int(falls[p, m, k])} for k, key in enumerate(MEASURES)}
+        for m, name in enumerate(methods) if name != base} for p, place in enumerate(PLACES)}

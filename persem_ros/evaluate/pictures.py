@@ -1,0 +1,124 @@
+"""What the figures show of a sequence: frames where methods differ most, the map from above."""
+
+import heapq
+
+import cv2
+import numpy as np
+
+from persem_ros.frames import UNKNOWN
+
+FRAMES = 4          # kept
+WIDTH = 480         # of a panel, pixels, at most
+APART = 0.04        # of the sequence: frames nearer to each other show the same
+CELLS = 700         # of the map from above, along its longer side, at most
+METHODS = ('raw2d', 'ema2d', 'majority', 'trust', 'context_history', 'persem')
+
+
+class Panels:
+    """
+    The frames in which the shown methods differ at most pixels.
+
+    Parameters
+    ----------
+    sequence : sequence.Sequence
+        Labelled.
+    kinds : kinds.Kinds
+
+    """
+
+    def __init__(self, sequence, kinds):
+        self._sequence, self._kinds = sequence, kinds
+        self.shown = [m for m in METHODS if m in sequence.methods]
+        columns = [sequence.methods.index(m) - len(sequence.images) for m in self.shown]
+        columns = [c for c in columns if c >= 0]
+        classes = kinds.classes[:, columns] if columns else kinds.classes[:, :0]
+        self._differ = (classes != classes[:, :1]).any(1) if columns \
+            else np.zeros(len(kinds.codes), bool)
+        self._kept, self._number = [], 0
+
+    def offer(self, frame, labels, truth, voxels, images):
+        """Keep a frame if its methods differ more than those of the frames that are kept."""
+        kinds = np.where(voxels >= 0, self._kinds.of[voxels], 0)
+        score = int(np.count_nonzero(self._differ[kinds]))
+        number, self._number = self._number, self._number + 1
+        apart = max(1, int(APART * self._sequence.frames))
+        near = [k for k in self._kept if abs(k[1] - number) < apart]
+        if near and min(near)[0] >= score or not near and len(self._kept) == FRAMES and \
+                self._kept[0][0] >= score:
+            return
+        for old in near:
+            self._kept.remove(old)
+        heapq.heapify(self._kept)
+        heapq.heappush(self._kept, (score, number, self._panels(frame, labels, truth, voxels,
+                                                                images)))
+        while len(self._kept) > FRAMES:
+            heapq.heappop(self._kept)
+
+    def arrays(self):
+        """Return the panels as {'panel/<frame>/<what>': image}, in order of the frames."""
+        return {f'panel/{number}/{what}': image for _, number, panels in sorted(
+            self._kept, key=lambda item: item[1]) for what, image in panels.items()}
+
+    def _panels(self, frame, labels, truth, voxels, images):
+        """Return the images of one frame by what they show, class ids as uint16."""
+        step = -(-labels.shape[1] // WIDTH)
+        here = (slice(None, None, step),) * 2
+        panels = {} if frame.color is None else {'color': _small(frame.color)}
+        if truth is not None:
+            panels['truth'] = ids(truth[here])
+        for name, image in zip(self._sequence.images, images):
+            if name in self.shown:
+                panels[name] = ids(image[here])
+        voxels, labels = voxels[here], labels[here]
+        moving = np.isin(labels, [c for c in self._sequence.task.config.memory.dynamic_labels
+                                  if c >= 0])
+        for name in self.shown:
+            if name not in panels:
+                of = self._sequence.labels_of(name)
+                image = np.where(voxels >= 0, of[voxels], np.uint16(UNKNOWN))
+                panels[name] = np.where(moving, labels, image).astype(np.uint16)
+        return panels
+
+
+def ids(image):
+    """Return labels as uint16, UNKNOWN for what is no id."""
+    return np.where((image < 0) | (image > UNKNOWN), UNKNOWN, image).astype(np.uint16)
+
+
+def top_view(memory, labels, sources, entropy, switch_rate):
+    """
+    Return the map from above: of each column of voxels the top-most one.
+
+    Returns
+    -------
+    dict
+        'top/label' uint16 (UNKNOWN: nothing there), 'top/source' uint8, 'top/entropy' (nat) and
+        'top/switch_rate' float32, each (rows, columns), y up; 'top/extent': left, right, bottom,
+        top in metres.
+
+    """
+    columns = memory.voxels()
+    at, number = columns['voxel'].astype(np.int64), columns['number']
+    low, high = (np.quantile(at[:, :2], q, axis=0, method='nearest') for q in (0.001, 0.999))
+    inside = np.all((at[:, :2] >= low) & (at[:, :2] <= high), axis=1)
+    at, number = at[inside], number[inside]
+    scale = int(-(-(high - low + 1).max() // CELLS))
+    cell = (at[:, :2] - low) // scale
+    width, height = ((high - low) // scale + 1).tolist()
+    voxel = np.full((height, width), -1, np.int64)
+    order = np.argsort(at[:, 2], kind='stable')         # written last: the highest
+    voxel[height - 1 - cell[order, 1], cell[order, 0]] = number[order]
+    known, size = voxel >= 0, memory.voxel_size
+    return {'top/label': np.where(known, labels[voxel], np.uint16(UNKNOWN)),
+            'top/source': sources[voxel], 'top/entropy': entropy[voxel],
+            'top/switch_rate': switch_rate[voxel],
+            'top/extent': np.array([low[0], low[0] + width * scale, low[1],
+                                    low[1] + height * scale]) * size}
+
+
+def _small(color):
+    """Return a colour image at the width of a panel."""
+    height, width = color.shape[:2]
+    if width <= WIDTH:
+        return np.ascontiguousarray(color)
+    return cv2.resize(color, (WIDTH, round(height * WIDTH / width)), interpolation=cv2.INTER_AREA)

@@ -1,0 +1,211 @@
+"""Recordings become a folder of tables, figures and a report: `persem evaluate`."""
+
+from collections import Counter
+import json
+import logging
+from pathlib import Path
+
+from persem_ros import config_file
+from persem_ros.config import nearest
+from persem_ros.errors import PersemError
+from persem_ros.evaluate import combine, jobs, manifest, table
+from persem_ros.evaluate.sequence import ALL_METHODS, Task
+from persem_ros.evaluate.taxonomy import taxonomy
+from persem_ros.evaluate.tables import tables
+from persem_ros.inputs.recording import Recording
+from persem_ros.legend import Legend
+from persem_ros.outputs import rundir
+from persem_ros.outputs.files import write_json, write_text
+
+log = logging.getLogger(__name__)
+REQUEST = 'request.json'        # what the folder is an evaluation of
+
+
+def evaluate(recordings, out, config, methods=ALL_METHODS, labels='', grouped=False,
+             dynamic=True, predictions='', workers=0, scheduler='', force=False, figures=True):
+    """
+    Evaluate recordings into a folder; what is finished there is not computed again.
+
+    Parameters
+    ----------
+    recordings : sequence of str or Path
+    out : str or Path
+        The folder of the results.
+    config : persem_ros.config.Config
+    methods : sequence of str
+        Some of ALL_METHODS.
+    labels, grouped, dynamic
+        As of taxonomy.taxonomy.
+    predictions : str
+        Folder of label images that replace the recorded ones, as of stream.prediction_files;
+        with several recordings: a folder of folders with the recordings' names.
+    workers, scheduler
+        As of jobs.results.
+    force : bool
+        Give up what an evaluation with other settings left in the folder.
+    figures : bool
+        Draw figures and write report.html.
+
+    Returns
+    -------
+    dict
+        The content of evaluation.json.
+
+    Raises
+    ------
+    PersemError
+        When a recording or the folder cannot be used: one sentence.
+
+    """
+    methods = chosen_methods(methods)
+    paths = named(recordings)
+    tasks = {name: Task(str(path), config, methods, str(labels), grouped, dynamic,
+                        _predictions(predictions, name, len(paths)), pictures=figures)
+             for name, path in paths.items()}
+    frames = {name: check(task) for name, task in tasks.items()}
+    folder = prepare(out, _request(next(iter(tasks.values()))), force)
+    results = compute({folder / 'sequences' / name: task for name, task in tasks.items()},
+                      workers, scheduler, list(frames.values()))
+    results = {path.name: result for path, result in results.items()}
+    warn(results)
+    evaluation = {**combine.combined(results), 'versions': rundir.versions(),
+                  'hardware': rundir.hardware(),
+                  'settings': {name: value for name, value in _request(
+                      next(iter(tasks.values())))['settings'].items()}}
+    write_text(folder / 'config.yaml', config_file.to_yaml(config))
+    write(folder, evaluation)
+    if figures:
+        from persem_ros.evaluate import page
+        page.write(folder, evaluation, results)
+    return evaluation
+
+
+def write(folder, evaluation):
+    """Write evaluation.json and the tables in all forms."""
+    write_json(folder / 'evaluation.json', evaluation)
+    found = tables(evaluation)
+    for item in found:
+        for suffix, form in table.FORMATS.items():
+            write_text(folder / 'tables' / f'{item.key}.{suffix}', form(item))
+    write_json(folder / 'tables.json', {item.key: table.as_json(item) for item in found})
+    write_text(folder / 'tables.md', '\n'.join(table.markdown(item) for item in found))
+
+
+def compute(tasks, workers=0, scheduler='', frames=None):
+    """
+    Return {folder: (summary, arrays)} of tasks by their folder, in their order.
+
+    Results that lie there are taken, the others computed and saved at once.
+
+    """
+    identities = {folder: manifest.identity(task) for folder, task in tasks.items()}
+    found = {folder: manifest.load(folder, identities[folder]) for folder in tasks}
+    missing = [folder for folder, result in found.items() if result is None]
+    if len(missing) < len(tasks):
+        log.info('%d of %d are finished already', len(tasks) - len(missing), len(tasks))
+    by_folder = dict(zip(tasks, frames or [1] * len(tasks)))
+    for place, summary, arrays in jobs.results(
+            [tasks[f] for f in missing], workers, scheduler, [by_folder[f] for f in missing]):
+        folder = missing[place]
+        manifest.save(folder, identities[folder], summary, arrays)
+        found[folder] = summary, arrays
+    return found
+
+
+def prepare(out, request, force=False):
+    """
+    Return the folder *out*, new or with a part of the same evaluation.
+
+    Raises
+    ------
+    PersemError
+        When it holds something else and *force* is not set.
+
+    """
+    folder = Path(out)
+    if folder.exists() and not folder.is_dir():
+        raise PersemError(f'{folder} is a file; give the name of a folder with --out')
+    request = json.loads(json.dumps(request))
+    try:
+        before = json.loads((folder / REQUEST).read_text('utf-8'))
+    except (OSError, ValueError):
+        before = None
+    if before is None and folder.exists() and any(folder.iterdir()) and not force:
+        raise PersemError(f'{folder} is not empty and holds no evaluation; give another folder '
+                          'with --out, or --force to write there all the same')
+    if before is not None and before != request and not force:
+        found = manifest.changes(before, request)
+        more = f' and {len(found) - 3} more' if len(found) > 3 else ''
+        raise PersemError(f'{folder} holds an evaluation with other settings '
+                          f'({"; ".join(found[:3])}{more}); give another folder with --out, or '
+                          '--force to replace it')
+    folder.mkdir(parents=True, exist_ok=True)
+    write_json(folder / REQUEST, request)
+    return folder
+
+
+def check(task):
+    """Return the frames that a task will read; refuse what cannot be used, before the work."""
+    if task.config.map.path:
+        raise PersemError('map.path: an evaluation begins with an empty map; leave it out')
+    with Recording(task.recording, task.config) as recording:
+        text = recording.legend_text
+        legend = Legend.from_yaml(text, "the recording's legend") if text else None
+        found = taxonomy(task.labels, task.grouped, task.dynamic, legend)
+        if found.table is not None and not found.table:
+            raise PersemError(f'{recording.path}: --grouped and --no-dynamic need a legend with '
+                              'classes; name one with --labels')
+        if not recording.has('truth'):
+            log.warning('%s has no truth: accuracy unknown, flicker only', recording.path.name)
+        return 2 * recording.expected
+
+
+def warn(results):
+    """Say what was left out of the sequences."""
+    for name, (summary, _) in results.items():
+        outside = summary['outside_taxonomy']
+        if outside:
+            log.warning('%s: true ids outside the taxonomy are ignored: %s', name, ', '.join(
+                f'{i} ({n} pixels)' for i, n in outside.items()))
+        if summary['frames']['without_prediction']:
+            log.warning('%s: %d frames have no prediction and were left out', name,
+                        summary['frames']['without_prediction'])
+        for note in summary['notes']:
+            log.warning('%s: %s', name, note)
+
+
+def chosen_methods(methods):
+    """Return methods in the usual order; refuse unknown ones."""
+    for name in methods:
+        if name not in ALL_METHODS:
+            raise PersemError(f'unknown method {name!r}{nearest(name, ALL_METHODS)}; expected '
+                              f'all or some of {", ".join(ALL_METHODS)}')
+    return tuple(name for name in ALL_METHODS if name in methods)
+
+
+def named(recordings):
+    """Return {name: path} of recordings, the names made different."""
+    names, result = Counter(), {}
+    for path in map(Path, recordings):
+        path = path.resolve()
+        stem = path.name if path.is_dir() else path.stem
+        names[stem] += 1
+        result[stem if names[stem] == 1 else f'{stem}-{names[stem]}'] = path
+    return result
+
+
+def _predictions(folder, name, recordings):
+    """Return the folder of one recording's predictions."""
+    if folder and recordings > 1:
+        folder = Path(folder) / name
+        if not folder.is_dir():
+            raise PersemError(f'--predictions: {folder} does not exist; with several recordings '
+                              'the folder holds one folder each, of the same name')
+    return str(folder)
+
+
+def _request(task):
+    """Return what all sequences of a folder share, as JSON."""
+    found = manifest.identity(task)
+    return {name: found[name] for name in (
+        'settings', 'methods', 'taxonomy', 'grouped', 'dynamic', 'pictures')}
