@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from core_worlds import (
     columns_of, core_of, EXACT, examples, observations, reference_of, refinements, seeds, worlds)
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 import numpy as np
 from persem_ros.config import METHODS, Refine
@@ -58,6 +58,72 @@ def test_thresholds_hit_exactly(method):
         assert labels_of(core_of(frames), method, settings) == ref.label(
             reference_of(frames), method, settings)
     check()
+
+
+def margins_of(expected, method, settings):
+    """Return (setting, margin) of every candidate in the map: thresholds worth trying."""
+    found = []
+    for voxel, history in expected.histories.items():
+        if len(history) < settings.min_observations:
+            continue
+        majority, candidate = expected.majority(voxel), None
+        if method == 'context':
+            around = expected.neighbours(voxel, settings.neighbours)
+            if around:
+                candidate = ref.argmax(ref.hard_share(expected, around), majority)
+        else:
+            rho = expected.volatility()
+            candidate = ref.proposal(expected, voxel, rho, settings)
+            if candidate is not None:
+                e = ref.trusted_evidence(history, rho, settings)
+                found.append(('tau_replay', e[candidate] - e.get(majority, 0.0)))
+        if candidate not in (None, majority):
+            hard, soft = ref.margins(expected, voxel, candidate, settings)
+            found.append(('tau_context', min(hard, soft)))      # the one that decides
+    return [(name, margin) for name, margin in found if margin > 1e-6]
+
+
+@pytest.mark.parametrize('method', ['trust', 'context', 'persem'])
+def test_thresholds_that_lie_on_a_margin(method):
+    @given(worlds(), refinements(eta=0.0, tau_replay=0.0, tau_context=0.0, min_observations=1),
+           st.sampled_from([0.5, 0.8]), st.integers(0, 10 ** 6))
+    @examples(max_examples=60)
+    def check(frames, settings, gamma, choice):
+        settings = replace(settings, gamma=gamma)
+        memory, expected = core_of(frames), reference_of(frames)
+        margins = margins_of(expected, method, settings)
+        assume(margins)
+        name, margin = margins[choice % len(margins)]
+        answers = []
+        for shift in (-1e-6, 0.0, 1e-6):
+            there = replace(settings, **{name: margin + shift})
+            answers.append(ref.label(expected, method, there))
+            assert labels_of(memory, method, there) == answers[-1]
+        assert answers[1] == answers[2]     # hit exactly is not exceeded
+        if method == 'context' or name == 'tau_replay' and method == 'trust':
+            assert answers[0] != answers[1]
+    check()
+
+
+@given(worlds(), refinements(min_observations=1), st.integers(0, 10 ** 6))
+@examples(max_examples=60)
+def test_an_eta_that_makes_the_anchor_a_tie(frames, settings, choice):
+    memory, expected, ties = core_of(frames), reference_of(frames), []
+    for voxel in expected.histories:
+        around = expected.neighbours(voxel, settings.neighbours)
+        majority = expected.majority(voxel)
+        p, q = expected.share(voxel), ref.mean_share(expected, around)
+        for c in q:
+            lead, pull = p[majority] - p.get(c, 0.0), q[c] - q.get(majority, 0.0)
+            if lead > 1e-3 and pull > 1e-3:
+                ties.append((voxel, lead / (lead + pull)))
+    assume(ties)
+    voxel, eta = ties[choice % len(ties)]
+    for shift in (-1e-6, 0.0, 1e-6):
+        there = replace(settings, eta=eta + shift)
+        assert labels_of(memory, 'history', there) == ref.label(expected, 'history', there)
+    # Beyond the tie somebody else than the majority has won for certain.
+    assert ref.anchor(expected, voxel, there) != expected.majority(voxel)
 
 
 @pytest.mark.parametrize('method', METHODS)
