@@ -19,7 +19,7 @@ from persem_ros.core.memory import VoxelMemory
 from persem_ros.core.observe import observe
 from persem_ros.core.refine import abandon, begin, label, refine
 from persem_ros.core.regions import regions
-from persem_ros.core.render import filled, render, voxel_image
+from persem_ros.core.render import filled, render, voxel_image, voxel_image_of
 from persem_ros.core.smoothing import EmaImages
 from persem_ros.frames import Frame, pinhole
 
@@ -51,6 +51,7 @@ for shape in ((4, 6), (240, 320), (2, 2)):
         seen = observe(placed, ids, frame.T_map_camera.astype(np.float32), 0.3, stamp=stamp)
         memory.add(seen)
         shown = voxel_image(memory, seen, depth.shape)
+        voxel_image_of(memory, placed, frame.T_map_camera, depth.shape)
         for method in METHODS:
             found, _ = label(memory, method, Refine())
             filled(render(shown, frozen(found)), labels, Memory())
@@ -77,5 +78,6 @@ def test_nothing_compiles_after_warm_up():
                          text=True).stdout
     counts = {name: (int(before), int(after)) for name, before, after in
               (line.split() for line in out.splitlines())}
-    assert len(counts) > 20
-    assert {name: c for name, c in counts.items() if c != (1, 1)} == {}
+    # A kernel that only kernels call has no version of its own once its callers are cached.
+    assert sum(before for before, _ in counts.values()) > 20
+    assert {name: c for name, c in counts.items() if c not in ((1, 1), (0, 0))} == {}

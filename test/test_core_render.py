@@ -11,7 +11,7 @@ from persem_ros.core import jit
 from persem_ros.core.images import points
 from persem_ros.core.memory import VoxelMemory
 from persem_ros.core.observe import observe
-from persem_ros.core.render import filled, nearest, render, voxel_image
+from persem_ros.core.render import filled, nearest, render, voxel_image, voxel_image_of
 from persem_ros.frames import Frame, pinhole, UNKNOWN
 import pytest
 import reference as ref
@@ -54,7 +54,9 @@ def test_random_frames(seed, shape, stride, fill, dynamic, voxel_size):
                        max_depth=5.0)
     memory, frame, placed, seen = world(rng, shape, settings)
     labels = rng.choice(IDS, memory.n_voxels).astype(np.uint16)
-    image = filled(render(voxel_image(memory, seen, shape), labels), frame.labels, settings, fill)
+    voxels = voxel_image(memory, seen, shape)
+    assert voxels.tolist() == voxel_image_of(memory, placed, frame.T_map_camera, shape).tolist()
+    image = filled(render(voxels, labels), frame.labels, settings, fill)
     assert image.dtype == np.int32
     assert image.reshape(-1).tolist() == ref.render(
         by_number(memory, labels), [p if np.isfinite(p).all() else None for p in placed],
@@ -99,10 +101,12 @@ def test_the_same_with_another_number_of_threads():
     try:
         for threads in (1, 2, 3):
             jit.set_threads(threads)
-            memory, frame, _, seen = world(np.random.default_rng(1), shape, settings, frames=2)
+            memory, frame, placed, seen = world(np.random.default_rng(1), shape, settings, frames=2)
             labels = np.arange(memory.n_voxels).astype(np.uint16)
             voxels = voxel_image(memory, seen, shape)
-            results.append((voxels.tobytes(), render(voxels, labels).tobytes()))
+            unseen = voxel_image_of(memory, placed, frame.T_map_camera, shape)
+            results.append((voxels.tobytes(), unseen.tobytes(),
+                            render(voxels, labels).tobytes()))
     finally:
         jit.set_threads(before)
     assert results[0] == results[1] == results[2]
