@@ -66,7 +66,8 @@ class Replay:
         self._write_map()
         renderer = Renderer(self.pipeline, self.methods)
         renderer.relabel()
-        codes = regions(self.pipeline.memory, self.config.refine.neighbours)[0]
+        codes = np.append(regions(self.pipeline.memory, self.config.refine.neighbours)[0],
+                          np.uint8(0))      # the last one, -1, is that of no voxel
         with self._refined() as refined, WriteBehind() as later:
             for frame in self._read('rendering', truth=True, color=bool(self.watchers)):
                 self._render(frame, renderer, None, codes, refined, later)
@@ -110,8 +111,7 @@ class Replay:
             rendering = renderer.render(frame, observations)
         with self.watch('measure'):
             valid, truth = rendering.valid, rendering.truth
-            at = None if codes is None else np.where(
-                rendering.voxels >= 0, codes[rendering.voxels], np.uint8(0))
+            at = None if codes is None else codes[rendering.voxels]
             self.metrics.update(valid, rendering.images, truth, at, frame.sensor)
         for watcher in self.watchers:
             watcher.frame(self, frame, rendering)

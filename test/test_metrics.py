@@ -177,3 +177,17 @@ def test_images_of_another_size_and_unknown_methods_are_refused():
         metrics.update(np.ones((3, 2), bool), {'trust': np.ones((3, 2), int)})
     with pytest.raises(PersemError, match='taxonomy'):
         Metrics(['m'], taxonomy={1: 65535})
+
+
+def test_flicker_counts_between_two_calls_are_the_frames_between_them():
+    frames = sequence(np.random.default_rng(5), 6)
+    metrics = measured(frames[:4])
+    before = metrics.flicker_counts()
+    for valid, truth, prediction, regions in frames[4:]:
+        metrics.update(valid, {'m': prediction}, truth, regions)
+    after = metrics.flicker_counts()
+    for name, k in (('m', 2), ('truth', 1)):
+        both = [a[0] & b[0] for a, b in zip(frames[3:], frames[4:])]
+        changed = sum(np.sum(w & (a[k] != b[k]))
+                      for w, a, b in zip(both, frames[3:], frames[4:]))
+        assert tuple(np.subtract(after[name], before[name])) == (changed, np.sum(both))

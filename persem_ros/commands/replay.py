@@ -22,6 +22,8 @@ def add_parser(subparsers):
     parser.add_argument('--rerun', metavar='FILE.rrd',
                         help='log camera, images and the growing map for the Rerun viewer as well '
                              "(pip install 'persem_ros[viewer]')")
+    parser.add_argument('--figure', metavar='FILE.png',
+                        help='write a picture of one frame and the map as well')
     add_settings(parser)
     parser.set_defaults(run=run)
 
@@ -39,6 +41,9 @@ def run(args):
         if args.rerun:
             from persem_ros.outputs.rerun_log import RerunLog
             watchers.append(stack.enter_context(RerunLog(args.rerun)))
+        if args.figure:
+            from persem_ros.outputs.report.figure import FigureWatcher
+            watchers.append(FigureWatcher(args.figure))
         result = replay(args.bag, args.out, config, methods, args.causal, args.force, watchers)
     print(summary(result))
     print(f'\nresults in {args.out}, to be looked at: {Path(args.out) / "report.html"}')

@@ -9,6 +9,7 @@ from persem_ros.errors import PersemError
 from persem_ros.frames import UNKNOWN
 from persem_ros.outputs.files import replacing
 
+EXTRA = "'persem_ros[viewer]'"
 MAP_STEPS = 100     # the map grows in about so many pieces
 
 
@@ -103,7 +104,7 @@ class RerunLog:
             image_plane_distance=20 * replay.pipeline.memory.voxel_size))
 
     def _names(self, replay):
-        """Log the names and colours of the classes, for labels that occur and all of the legend."""
+        """Log the names and colours of the classes: those of the legend and those that occur."""
         rr, legend = self._rr, replay.legend
         ids = sorted({*legend.ids, *np.flatnonzero(replay.pipeline.memory.seen_ids).tolist()})
         infos = [rr.AnnotationInfo(id=i, label=legend.name(i), color=legend.color(i)) for i in ids]
@@ -139,7 +140,8 @@ class RerunLog:
                   for name in ('image', 'labels', 'refined', 'truth')]
         return views.Blueprint(views.Horizontal(
             views.Spatial3DView(origin='/world', name='map',
-                                contents=['+ $origin/**', f'- {camera}/**', f'+ {camera}/refined']),
+                                contents=['+ $origin/**', f'- {camera}/**',
+                                          f'+ {camera}/refined']),
             views.Vertical(*images), column_shares=[3, 1]))
 
 
@@ -155,10 +157,9 @@ def _rerun():
         import rerun
         import rerun.blueprint
     except ImportError:
-        raise PersemError("--rerun: expected the package rerun-sdk, which is not installed; type: "
-                          "pip install 'persem_ros[viewer]'") from None
+        raise PersemError('--rerun: expected the package rerun-sdk, which is not installed; '
+                          f'type: pip install {EXTRA}') from None
     if not hasattr(rerun.RecordingStream, 'set_time'):
-        raise PersemError(f'--rerun: expected rerun-sdk 0.23 or newer, found '
-                          f"{rerun.__version__}; type: pip install --upgrade "
-                          "'persem_ros[viewer]'")
+        raise PersemError('--rerun: expected rerun-sdk 0.23 or newer, found '
+                          f'{rerun.__version__}; type: pip install --upgrade {EXTRA}')
     return rerun

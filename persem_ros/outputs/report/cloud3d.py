@@ -5,7 +5,7 @@ import zlib
 
 import numpy as np
 
-from persem_ros.outputs.report.colors import SOURCE_COLORS, ramp
+from persem_ros.outputs.report.colors import ramp, SOURCE_COLORS
 
 VOXELS = 400_000    # more are too many for a telephone
 SPAN = 65_535       # cells along an axis that uint16 can count
@@ -25,6 +25,7 @@ def packed(columns, voxel_size, legend, track=()):
     voxel_size : float
         Metres.
     legend : persem_ros.legend.Legend
+        Gives each label its colour.
     track : sequence of ndarray, shape (n, 3)
         Camera positions in metres in the voxels' frame, a line each.
 

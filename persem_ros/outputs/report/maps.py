@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from persem_ros.outputs.report.colors import SOURCE_COLORS, ramp
-from persem_ros.outputs.report.png import data_uri, png
+from persem_ros.outputs.report.colors import ramp, SOURCE_COLORS
 
 CELLS = 1000        # the longer side of a picture, at most
 OUTSIDE = 0.001     # share of the columns that may be cut off at each edge
@@ -20,13 +19,15 @@ def top_view(columns, voxel_size, legend):
     voxel_size : float
         Metres.
     legend : persem_ros.legend.Legend
+        Gives each label its colour.
 
     Returns
     -------
     dict
-        layers: list of dict (key, title, image as data URI, bar: what a colour bar shows, or
-        None); x, y: the extent (low, high) in metres; width, height: in cells; cell: metres;
-        left_out: number of columns beyond the edges.
+        layers: list of dict (key, title, pixels (h, w, 4) uint8 red green blue alpha, bar: what a
+        colour bar shows, or None); x, y: the extent (low, high) in metres; width, height: in
+        cells; cell: metres; scale: columns along a cell's edge; left_out: number of columns
+        beyond the edges.
 
     """
     another = np.any(np.diff(columns['voxel'][:, :2], axis=0) != 0, axis=1)
@@ -52,6 +53,21 @@ def top_view(columns, voxel_size, legend):
             'x': (float(low_m[0]), float(high_m[0])), 'y': (float(low_m[1]), float(high_m[1])),
             'width': known.shape[1], 'height': known.shape[0], 'cell': voxel_size * scale,
             'left_out': int(np.count_nonzero(~inside)), 'scale': scale}
+
+
+def tracks(memory, most=2000):
+    """Return the cameras' positions in the voxels' frame, metres, one (n, 3) array a sensor."""
+    sensors = {}
+    for frame in memory.frames:
+        sensors.setdefault((frame.session, frame.sensor), []).append(frame.T_map_sensor[:3, 3])
+    return [(np.array(line) - memory.origin)[::-(-len(line) // most)]
+            for line in sensors.values()]
+
+
+def on_top(track, top):
+    """Return where a track (n, 3) lies in a top_view: (n, 2) shares of width and height."""
+    (x0, x1), (y0, y1) = top['x'], top['y']
+    return np.stack([(track[:, 0] - x0) / (x1 - x0), (y1 - track[:, 1]) / (y1 - y0)], axis=1)
 
 
 def _edges(cells):
@@ -109,5 +125,4 @@ def scale_bar(extent):
 def _layer(key, title, rgb, known, bar):
     alpha = np.where(known, 255, 0)
     rgba = np.concatenate([np.where(known[..., None], rgb, 0), alpha[..., None]], axis=2)
-    return {'key': key, 'title': title, 'bar': bar,
-            'image': data_uri('image/png', png(rgba.astype(np.uint8)))}
+    return {'key': key, 'title': title, 'bar': bar, 'pixels': rgba.astype(np.uint8)}

@@ -10,6 +10,7 @@ import numpy as np
 from persem_ros.frames import UNKNOWN
 from persem_ros.outputs.cloud import SOURCES
 from persem_ros.outputs.report import cloud3d, colors, maps, series, tables
+from persem_ros.outputs.report.png import data_uri, png
 
 METHOD_TEXTS = {
     'raw2d': 'the input labels as they came',
@@ -97,23 +98,14 @@ def _map(replay, columns):
         return {'top': None, 'view': None, 'tracks': [], 'scale_bar': 0}
     memory = replay.pipeline.memory
     top = maps.top_view(columns, memory.voxel_size, replay.legend)
-    tracks = _tracks(memory)
+    tracks = maps.tracks(memory)
     view = cloud3d.packed(columns, memory.voxel_size, replay.legend, tracks)
-    width, height = np.ptp(top['x']), np.ptp(top['y'])
-    lines = [' '.join(f'{1000 * (x - top["x"][0]) / width:.1f},'
-                      f'{1000 * (top["y"][1] - y) / height:.1f}' for x, y, _ in track)
+    for layer in top['layers']:
+        layer['image'] = data_uri('image/png', png(layer.pop('pixels')))
+    lines = [' '.join(f'{1000 * x:.1f},{1000 * y:.1f}' for x, y in maps.on_top(track, top))
              for track in tracks]
     return {'top': top, 'view': view, 'tracks': lines,
-            'scale_bar': maps.scale_bar(width), 'ramp': colors.css_gradient()}
-
-
-def _tracks(memory, most=2000):
-    """Return the cameras' positions in the voxels' frame, metres, one (n, 3) array a sensor."""
-    sensors = {}
-    for frame in memory.frames:
-        sensors.setdefault((frame.session, frame.sensor), []).append(frame.T_map_sensor[:3, 3])
-    return [(np.array(line) - memory.origin)[::-(-len(line) // most)]
-            for line in sensors.values()]
+            'scale_bar': maps.scale_bar(np.ptp(top['x'])), 'ramp': colors.css_gradient()}
 
 
 def _classes(legend, ids):

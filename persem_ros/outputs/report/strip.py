@@ -81,8 +81,11 @@ def sample(number, frame, rendering, method, fill, sources):
     Parameters
     ----------
     number : int
+        Of the frame, from 0.
     frame : persem_ros.frames.Frame
+        For its stamp, sensor and colour.
     rendering : persem_ros.rendering.Rendering
+        The frame as the methods see it.
     method : str
         The method whose image is "refined".
     fill : str

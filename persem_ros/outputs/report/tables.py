@@ -80,6 +80,7 @@ def legend_rows(legend, voxels):
     Parameters
     ----------
     legend : persem_ros.legend.Legend
+        In force.
     voxels : dict of int to int
         Number of voxels by label.
 
@@ -118,8 +119,9 @@ def command(recording, folder, config, methods, causal):
     if tuple(methods) != tuple(dict.fromkeys(usual)):
         words += ['--methods', ','.join(methods)]
     words += ['--causal'] * bool(causal)
+    values = {name: value for name, value, _ in settings(config)}
     for row in changed_settings(config):
-        value = dict((name, v) for name, v, _ in settings(config))[row['name']]
+        value = values[row['name']]
         text = value if isinstance(value, str) else row['value']
         words += ['--set', f'{row["name"]}={text}']
     return shlex.join(words)

@@ -1,4 +1,4 @@
-"""The report as a watcher of a replay: it keeps little while frames pass, and writes at the end."""
+"""The report as a watcher of a replay: keeps little while frames pass, writes at the end."""
 
 from concurrent.futures import ThreadPoolExecutor
 
@@ -22,14 +22,7 @@ class ReportWatcher:
         if self._strip is None:
             self._strip = Strip(replay.recording.expected)
         self._flicker.add(frame.stamp, replay.metrics.flicker_counts())
-
-        def make(number):
-            memory = replay.pipeline.memory
-            sources = np.ascontiguousarray(memory.m.voxels['source'][:memory.n_voxels])
-            return sample(number, frame, rendering, replay.config.refine.method,
-                          replay.config.render.fill, sources)
-
-        self._strip.offer(make)
+        offer(self._strip, replay, frame, rendering)
 
     def finish(self, replay, result):
         """Write report.html."""
@@ -43,3 +36,14 @@ class ReportWatcher:
                       for i in np.unique(image)})
         text = page.render(replay, result, frames, ids, self._flicker.lines())
         write_text(replay.folder / 'report.html', text)
+
+
+def offer(strip, replay, frame, rendering):
+    """Count a rendered frame; keep a Sample of it if the strip wants it."""
+    def make(number):
+        memory = replay.pipeline.memory
+        sources = np.ascontiguousarray(memory.m.voxels['source'][:memory.n_voxels])
+        return sample(number, frame, rendering, replay.config.refine.method,
+                      replay.config.render.fill, sources)
+
+    strip.offer(make)
