@@ -58,7 +58,7 @@ class Pipeline:
         """
         voxels = self.voxel_image(frame, observations)
         image = render(voxels, np.ascontiguousarray(
-            self.memory.m.voxels['label'][:self.memory.n_voxels]))
+            self.memory.m.voxels['label'][:self.memory.n_numbers]))
         return filled(image, frame.labels, self.config.memory, self.config.render.fill,
                       self.unknown)
 

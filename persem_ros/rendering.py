@@ -92,7 +92,7 @@ class Renderer:
     def _of(self, method):
         """Return the labels (voxels,) uint16 of a voxel method, by voxel number."""
         memory = self.pipeline.memory
-        records = memory.m.voxels[:memory.n_voxels]
+        records = memory.m.voxels[:memory.n_numbers]
         if method == self.pipeline.config.refine.method:
             return np.ascontiguousarray(records['label'])
         majority = np.ascontiguousarray(records['majority'])

@@ -5,7 +5,8 @@ import numpy as np
 from persem_ros.core.blocks import find_block, make_block
 from persem_ros.core.jit import inlined, kernel
 from persem_ros.core.pools import (
-    CHUNK, FREE, INLINE, LINKS, OBSERVATIONS, RETIRED, SIDE, SPILLS, STORED, VOXELS)
+    CHUNK, FIRST_SPILL, FIRST_VOXEL, FREE, FREE_SPILLS, FREE_VOXELS, INLINE, LINKS,
+    OBSERVATIONS, RETIRED, SIDE, SPILLS, STORED, VOXELS)
 from persem_ros.frames import UNKNOWN
 
 TIE = 1e-9      # spec section 2: x ties y when |x - y| <= TIE
@@ -41,8 +42,7 @@ def add_observations(pools, table, places, labels, confidences, t, max_history, 
         changed[row] |= np.uint8(1 << (k & 7))
         v = np.int64(cells[cell]) - 1
         if v < 0:
-            v = used[VOXELS]
-            used[VOXELS] = v + 1
+            v = take_voxel(voxels, used)
             cells[cell] = v + 1
             blocks[b].count += 1
         rows[p] = v
@@ -73,6 +73,34 @@ def add_observations(pools, table, places, labels, confidences, t, max_history, 
         voxel.last = c
     used[OBSERVATIONS] += added
     used[STORED] += added
+
+
+@inlined
+def take_voxel(voxels, used):
+    """Return the number of an unused voxel."""
+    if used[FIRST_VOXEL] > 0:       # one that was dropped
+        v = used[FIRST_VOXEL] - 1
+        used[FIRST_VOXEL] = voxels[v].head
+        used[FREE_VOXELS] -= 1
+        voxels[v].head = 0
+    else:
+        v = used[VOXELS]
+        used[VOXELS] = v + 1
+    return v
+
+
+@inlined
+def take_spill(spills, used):
+    """Return the number of an unused spill record."""
+    if used[FIRST_SPILL] > 0:       # one that was dropped
+        number = used[FIRST_SPILL] - 1
+        used[FIRST_SPILL] = spills[number].next
+        used[FREE_SPILLS] -= 1
+        spills[number].next = 0
+    else:
+        number = used[SPILLS]
+        used[SPILLS] = number + 1
+    return number
 
 
 @inlined
@@ -164,8 +192,7 @@ def spill(voxel, spills, used, c, s):
         if add_here(spills[number - 1], c, s):
             return
         before, number = number, np.int64(spills[number - 1].next)
-    number = used[SPILLS] + 1
-    used[SPILLS] = number
+    number = take_spill(spills, used) + 1
     add_here(spills[number - 1], c, s)
     if before > 0:
         spills[before - 1].next = number

@@ -3,7 +3,7 @@
 import numpy as np
 
 from persem_ros.core.jit import inlined, kernel
-from persem_ros.core.pools import BLOCKS, CELLS, SIDE, VOXELS
+from persem_ros.core.pools import BLOCKS, CELLS, FIRST_BLOCK, FREE_BLOCKS, SIDE
 
 
 @inlined
@@ -44,8 +44,14 @@ def insert_block(blocks, table, b):
 @inlined
 def make_block(blocks, used, table, bi, bj, bk):
     """Add an empty block, tie it to its neighbours and return its number."""
-    b = used[BLOCKS]
-    used[BLOCKS] = b + 1
+    if used[FIRST_BLOCK] > 0:       # one that was dropped
+        b = used[FIRST_BLOCK] - 1
+        used[FIRST_BLOCK] = blocks[b].count
+        used[FREE_BLOCKS] -= 1
+        blocks[b].count = 0
+    else:
+        b = used[BLOCKS]
+        used[BLOCKS] = b + 1
     blocks[b].index[0] = bi
     blocks[b].index[1] = bj
     blocks[b].index[2] = bk
@@ -62,7 +68,8 @@ def make_block(blocks, used, table, bi, bj, bk):
 def rehash(blocks, used, table):
     """Enter every block into the empty *table*."""
     for b in range(used[BLOCKS]):
-        insert_block(blocks, table, b)
+        if blocks[b].near[13] == b + 1:     # not a dropped one
+            insert_block(blocks, table, b)
 
 
 @kernel
@@ -102,7 +109,7 @@ def list_voxels(blocks, numbers, block_of, cell_of, voxel_of):
     """List the voxels of the given blocks in (block, cell) order; returns how many."""
     n = 0
     for b in numbers:
-        if blocks[b].count == 0:
+        if blocks[b].near[13] != b + 1:     # dropped
             continue
         cells = blocks[b].cells
         for cell in range(CELLS):
@@ -125,8 +132,3 @@ def directions(neighbours):
 def new_table(blocks):
     """Return an empty hash table with room for *blocks* blocks, at most half full."""
     return np.zeros(1 << max(10, int(2 * blocks - 1).bit_length()), np.uint32)
-
-
-def count_blocks(used):
-    """Return (blocks, voxels) in use."""
-    return int(used[BLOCKS]), int(used[VOXELS])

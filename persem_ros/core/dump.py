@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from persem_ros.core.append import add_evidence, count_classes, new_link, read_evidence, write
-from persem_ros.core.blocks import count_blocks, make_block, new_table
+from persem_ros.core.blocks import make_block, new_table
 from persem_ros.core.fusion import link_of
 from persem_ros.core.jit import kernel
 from persem_ros.core.memory import FrameRecord, VoxelMemory, sort_order
@@ -77,8 +77,9 @@ class MemoryDump:
 
 def dump(memory):
     """Return the MemoryDump of a VoxelMemory; the arrays are copies."""
-    pools, (n_blocks, _) = memory.m, count_blocks(memory.m.used)
-    order = sort_order(pools.blocks['index'][:n_blocks])
+    pools = memory.m
+    live = np.flatnonzero(pools.blocks['near'][:memory.n_blocks, 13])
+    order = live[sort_order(pools.blocks['index'][live])]
     block, cell, number = _listing(memory, order)
     records = pools.voxels[number]
     observations = records['n']
@@ -134,7 +135,7 @@ def load(saved):
 def _listing(memory, order):
     """Return (block, cell, number) of all voxels, blocks in the given order."""
     block, cell, number = memory.listing()
-    rank = np.empty(len(order), np.int64)
+    rank = np.empty(memory.n_blocks, np.int64)
     rank[order] = np.arange(len(order))
     by_rank = np.argsort(rank[block], kind='stable')
     return block[by_rank], cell[by_rank], number[by_rank]

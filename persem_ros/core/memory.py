@@ -6,9 +6,10 @@ import numpy as np
 
 from persem_ros.core.append import (
     add_observations, read_evidence, release_links)
-from persem_ros.core.blocks import count_blocks, find_voxels, list_voxels, new_table, rehash
+from persem_ros.core.blocks import find_voxels, list_voxels, new_table, rehash
 from persem_ros.core.jit import kernel, split
-from persem_ros.core.pools import CHUNK, OBSERVATIONS, STORED, Store
+from persem_ros.core.pools import (
+    BLOCKS, CHUNK, FREE_VOXELS, OBSERVATIONS, STORED, Store, VOXELS)
 from persem_ros.errors import PersemError
 
 
@@ -65,12 +66,17 @@ class VoxelMemory:
     @property
     def n_voxels(self):
         """Number of observed voxels."""
-        return count_blocks(self.m.used)[1]
+        return int(self.m.used[VOXELS] - self.m.used[FREE_VOXELS])
+
+    @property
+    def n_numbers(self):
+        """All voxel numbers are below this; equal to n_voxels where nothing was dropped."""
+        return int(self.m.used[VOXELS])
 
     @property
     def n_blocks(self):
-        """Number of blocks."""
-        return count_blocks(self.m.used)[0]
+        """All block numbers are below this."""
+        return int(self.m.used[BLOCKS])
 
     @property
     def n_observations(self):
@@ -131,10 +137,9 @@ class VoxelMemory:
 
     def listing(self):
         """Return (block, cell, voxel number), each (n,) int64, of all voxels, block by block."""
-        blocks, voxels = count_blocks(self.m.used)
-        lists = tuple(np.empty(voxels, np.int64) for _ in range(3))
-        n = list_voxels(self.m.blocks, np.arange(blocks), *lists)
-        return tuple(a[:n] for a in lists)
+        lists = tuple(np.empty(self.n_voxels, np.int64) for _ in range(3))
+        list_voxels(self.m.blocks, np.arange(self.n_blocks), *lists)
+        return lists
 
     def voxels(self):
         """

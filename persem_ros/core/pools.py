@@ -60,6 +60,9 @@ Pools = namedtuple('Pools', [
 
 # Places in Pools.used
 BLOCKS, VOXELS, LINKS, SPILLS, FREE, RETIRED, OBSERVATIONS, STORED = range(8)
+# Dropped records: how many, and the first one, + 1, of a list that runs through their own fields
+# (blocks: 'count', voxels: 'head', spills: 'next').
+FREE_BLOCKS, FREE_VOXELS, FREE_SPILLS, FIRST_BLOCK, FIRST_VOXEL, FIRST_SPILL = range(8, 14)
 
 
 class Store:
@@ -82,7 +85,7 @@ class Store:
         self.capacity = {name: len(pool) for name, pool in self._pools.items()}
         self.arrays = Pools(
             *self._pools.values(), _reserve(np.dtype('u4'), memory // 16),
-            _reserve(np.dtype('u4'), memory // 16), np.zeros(8, np.int64),
+            _reserve(np.dtype('u4'), memory // 16), np.zeros(14, np.int64),
             np.zeros(65536, np.int64), np.zeros(65536, np.int64))
 
     def check_room(self, voxels):
@@ -99,10 +102,10 @@ class Store:
         """Return {pool: bytes in use}."""
         used = self.arrays.used
         free = used[FREE] + used[RETIRED]
-        return {'blocks': int(used[BLOCKS]) * BLOCK.itemsize,
-                'voxels': int(used[VOXELS]) * VOXEL.itemsize,
+        return {'blocks': int(used[BLOCKS] - used[FREE_BLOCKS]) * BLOCK.itemsize,
+                'voxels': int(used[VOXELS] - used[FREE_VOXELS]) * VOXEL.itemsize,
                 'histories': int(used[LINKS] - free) * LINK.itemsize,
-                'spilt evidence': int(used[SPILLS]) * SPILL.itemsize}
+                'spilt evidence': int(used[SPILLS] - used[FREE_SPILLS]) * SPILL.itemsize}
 
 
 def _reserve(dtype, nbytes):

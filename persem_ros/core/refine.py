@@ -102,7 +102,7 @@ def label(memory, method, settings):
     taken = snapshot.take(memory)
     rows = labelled(memory, taken, method, settings, memory.volatility(),
                     int(np.count_nonzero(memory.seen_ids)))
-    labels, sources = (np.empty(memory.n_voxels, a.dtype) for a in rows)
+    labels, sources = (np.zeros(memory.n_numbers, a.dtype) for a in rows)
     labels[taken.number], sources[taken.number] = rows
     return labels, sources
 

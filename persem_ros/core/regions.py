@@ -29,7 +29,7 @@ def regions(memory, neighbours=26):
     switch_rate : ndarray, shape (voxels,), float32
 
     """
-    taken, n = take(memory), memory.n_voxels
+    taken, n = take(memory), memory.n_numbers
     codes, entropy, rate = np.zeros(n, np.uint8), np.zeros(n, np.float32), np.zeros(n, np.float32)
     split(_classify, taken.refined, memory.m.blocks, memory.m.voxels, taken.block, taken.cell,
           taken.number, taken.start, taken.shares, directions(neighbours), codes, entropy, rate)

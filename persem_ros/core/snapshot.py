@@ -71,7 +71,7 @@ def take(memory, neighbours=None):
     else:
         block, cell, number, refined = _changed(memory, neighbours)
     n = len(number)
-    row = np.zeros(memory.n_voxels, np.int32)
+    row = np.zeros(memory.n_numbers, np.int32)
     row[number] = np.arange(1, n + 1, dtype=np.int32)
     start = np.zeros(n + 1, np.int64)
     split(_count, n, pools.voxels, pools.spills, number, start[1:])

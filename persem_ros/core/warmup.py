@@ -4,6 +4,7 @@ import numpy as np
 
 from persem_ros.config import METHODS, Memory, Refine
 from persem_ros.core.dump import dump, load
+from persem_ros.core.evict import keep_near
 from persem_ros.core.images import points
 from persem_ros.core.jit import keep_memory
 from persem_ros.core.memory import VoxelMemory
@@ -46,3 +47,4 @@ def warm_up():
     render(voxel_image(memory, seen, depth.shape), labelled)
     render(voxel_image_of(memory, placed, frame.T_map_camera, depth.shape), labelled)
     EmaImages(0.5).update(labels)
+    keep_near(memory, (0.0, 0.0, 0.0), max_voxels=memory.n_voxels // 2)
