@@ -101,7 +101,8 @@ def test_the_same_with_another_number_of_threads():
     try:
         for threads in (1, 2, 3):
             jit.set_threads(threads)
-            memory, frame, placed, seen = world(np.random.default_rng(1), shape, settings, frames=2)
+            memory, frame, placed, seen = world(
+                np.random.default_rng(1), shape, settings, frames=2)
             labels = np.arange(memory.n_voxels).astype(np.uint16)
             voxels = voxel_image(memory, seen, shape)
             unseen = voxel_image_of(memory, placed, frame.T_map_camera, shape)
