@@ -92,7 +92,7 @@ def _panels(sample, method, legend):
         found = verdict(sample)
         palette = np.array([(0, 0, 0), *VERDICT_COLORS], np.uint8)
         change = np.where(found[..., None] > 0, palette[found], (gray // 2 + 40)[..., None])
-        result.append(('mended (blue), spoilt', '', change.astype(np.uint8)))
+        result.append(('mended (blue), spoilt (orange)', '', change.astype(np.uint8)))
     return result
 
 
