@@ -15,7 +15,8 @@ setup(
     maintainer_email='persem_ros@users.noreply.github.com',
     license='Apache-2.0',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={f'{NAME}.outputs.report': ['assets/*', 'templates/*']},
+    package_data={f'{NAME}.outputs.report': ['assets/*', 'templates/*'],
+                  f'{NAME}.evaluate': ['templates/*']},
     python_requires='>=3.10',
     install_requires=[
         'jinja2>=3.1',
@@ -48,5 +49,6 @@ setup(
         (f'share/{NAME}/launch', sorted(glob('launch/*.launch.py'))),
     ],
     zip_safe=False,
-    entry_points={'console_scripts': ['persem = persem_ros.cli:main']},
+    entry_points={'console_scripts': ['persem = persem_ros.cli:main',
+                                      'mapper = persem_ros.ros.node:main']},
 )

@@ -40,8 +40,7 @@ class LiveIntake(Intake):
         super().__init__(config, decode, dropped)
         self.jumps = 0
         self._on_jump = on_jump
-        self._wait = round(config.sync.max_wait * 1e9)
-        self._hold = round(config.sync.hold * 1e9)
+        self.configure(config)
         self._heard = {}        # camera -> (largest stamp of a label image, when it came)
         self._timelines = {}    # (role, taker) -> Timeline
         self._odd = {}          # the same -> arguments of take(), to be taken or dropped
@@ -65,18 +64,18 @@ class LiveIntake(Intake):
             return
         before, verdict = timeline.now, timeline.judge(stamp)
         odd = self._odd.pop(key, None)
+        if verdict == ODD and not jump:
+            self._odd[key] = role, taker, kind, now, data
+        if odd and verdict != BACK:
+            self._drop_reason(role, WENT_BACK)
         if verdict == ODD and jump:         # another topic has shown already that time went back
             timeline.restart(stamp)
         elif verdict == ODD:
-            self._odd[key] = role, taker, kind, now, data
-            if odd:
-                self._drop_reason(role, WENT_BACK)
             return
         elif verdict == BACK:
-            self._go_back(now, (before + stamp) // 2)
+            if not jump:
+                self._go_back(now, (before + stamp) // 2)
             self._take_now(*odd)
-        elif odd:
-            self._drop_reason(role, WENT_BACK)
         self._take_now(role, taker, kind, now, data)
 
     def may_leave(self, stamp, number, match, now):
@@ -92,6 +91,15 @@ class LiveIntake(Intake):
             if latest < stamp and not waited and now - came < self._wait:
                 return False
         return True
+
+    def configure(self, config):
+        """Go on with other settings sync.* and pose.*."""
+        self.config = config
+        self._wait = round(config.sync.max_wait * 1e9)
+        self._hold = round(config.sync.hold * 1e9)
+        for station in self.stations:
+            station.sync.configure(config.sync)
+            station.poses.configure(config.pose)
 
     def clear(self):
         """Forget everything that was held and heard; static transforms and infos stay."""

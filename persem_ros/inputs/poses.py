@@ -101,8 +101,7 @@ class PoseBuffer:
         """Start empty."""
         self.notes = {}
         self._map = config.frames.map
-        self._settings = config.pose
-        self._gap = round(config.pose.max_gap * 1e9)
+        self.configure(config.pose)
         self._keep = round(keep * 1e9)
         self._poses = None
         self._span = None       # smallest and largest stamp of a pose
@@ -111,6 +110,11 @@ class PoseBuffer:
         self._static = {}       # child -> (parent, T)
         self._mounts = {}
         self._extrinsic = _extrinsic(config.pose.extrinsic)
+
+    def configure(self, pose):
+        """Go on with another pose.max_gap (persem_ros.config.Pose)."""
+        self._settings = pose
+        self._gap = round(pose.max_gap * 1e9)
 
     def clear(self):
         """Forget every sample (the clock went back); static transforms stay."""

@@ -179,6 +179,14 @@ class Sqlite:
         self.damage = ''
         self._base = sqlite3.connect(f'file:{quote(str(file))}?immutable=1', uri=True,
                                      check_same_thread=False)
+        try:
+            self.connections = self._topics()
+        except BaseException:
+            self._base.close()
+            raise
+
+    def _topics(self):
+        """Return the connections, with the numbers of their messages that can be read."""
         # Without this SQLite refuses a file that is shorter than its header says.
         self._base.execute('PRAGMA writable_schema=ON')
         columns = [row[1] for row in self._base.execute('PRAGMA table_info(topics)')]
@@ -188,7 +196,7 @@ class Sqlite:
         counts = {}
         for number, _, _ in self._rows('topic_id, timestamp, 0'):
             counts[number] = counts.get(number, 0) + 1
-        self.connections = [
+        return [
             Connection(number, name, kind, counts.get(number, 0),
                        ConnectionExtRosbag2(form, _qos(profiles)))
             for number, name, kind, form, profiles in topics]

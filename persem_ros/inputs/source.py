@@ -6,11 +6,9 @@ from typing import NamedTuple
 
 from persem_ros.errors import PersemError
 from persem_ros.inputs import salvage
-from persem_ros.inputs.messages import BadMessage
+from persem_ros.inputs.decode import Decoder
 from rosbags.interfaces import QosDurability
 from rosbags.rosbag2 import Reader
-from rosbags.serde import SerdeError
-from rosbags.typesys import get_typestore, Stores
 
 SUFFIXES = ('.mcap', '.db3')
 ZSTD = b'\x28\xb5\x2f\xfd'      # a message of a recording with message compression, whose
@@ -57,7 +55,7 @@ class Source:
         """Open the recording."""
         self.path = Path(path)
         self.notes = []
-        self._store = get_typestore(Stores.ROS2_JAZZY)
+        self._decode = Decoder()
         self._readers = self._opened()
         found = {}
         for reader in self._readers:
@@ -128,11 +126,7 @@ class Source:
 
     def decode(self, data, typename):
         """Deserialize a message; BadMessage where its bytes are damaged."""
-        try:
-            return self._store.deserialize_cdr(data, typename)
-        except (SerdeError, KeyError, IndexError, OverflowError, AssertionError) as error:
-            raise BadMessage('damaged message', f'a {typename} cannot be deserialized: '
-                             f'{_line(error)}') from None
+        return self._decode(data, typename)
 
     def _opened(self):
         path = self.path

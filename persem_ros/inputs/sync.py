@@ -91,15 +91,21 @@ class Synchronizer:
                  keep=KEEP, max_bytes=256 << 20, dropped=None):
         """Start empty."""
         self.dropped = Counter() if dropped is None else dropped
-        self._tolerance = round(sync.tolerance * 1e9)
-        self._wait = round(sync.max_wait * 1e9)
-        self._keep = max(self._wait, round(keep * 1e9))
-        self._pose_wait = self._wait if pose_wait is None else round(pose_wait * 1e9)
+        self._keep_for, self._wait_for_pose = keep, pose_wait
+        self.configure(sync)
         self._lookup = lookup
         self._partners = (DEPTH, *companions)
         self._patient = patient
         self._max_bytes = max_bytes
         self.clear()
+
+    def configure(self, sync):
+        """Go on with another tolerance and longest wait (persem_ros.config.Sync)."""
+        self._tolerance = round(sync.tolerance * 1e9)
+        self._wait = round(sync.max_wait * 1e9)
+        self._keep = max(self._wait, round(self._keep_for * 1e9))
+        self._pose_wait = self._wait if self._wait_for_pose is None \
+            else round(self._wait_for_pose * 1e9)
 
     def clear(self):
         """Forget everything held and every stamp seen (the clock went back)."""

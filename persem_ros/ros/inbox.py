@@ -1,0 +1,102 @@
+"""The queue between the subscriptions and the worker: bounded in seconds and bytes."""
+
+from collections import deque
+import threading
+import time
+from typing import NamedTuple
+
+MAX_SMALL = 20000       # poses and camera infos; images are bounded in seconds and bytes
+
+
+class Item(NamedTuple):
+    """A message as it came."""
+
+    arrival: int        # ns, time.monotonic_ns
+    input: object       # noqa: A003 - persem_ros.ros.inputs.Input
+    kind: str           # 'sensor_msgs/msg/Image'
+    data: bytes
+
+
+class Inbox:
+    """
+    Messages in the order of their arrival.
+
+    Images, which are large, are dropped when they wait for too long or are too many, the oldest
+    first; poses are kept, because later images need them.
+
+    Parameters
+    ----------
+    sync : persem_ros.config.Sync
+        sync.queue and sync.queue_bytes.
+    on_drop : callable
+        on_drop(item), from any thread.
+
+    """
+
+    def __init__(self, sync, on_drop):
+        """Start empty."""
+        self.configure(sync)
+        self.bytes = 0
+        self._on_drop = on_drop
+        self._images, self._small = deque(), deque()
+        self._changed = threading.Condition()
+        self._woken = False
+
+    def __len__(self):
+        """Return the number of messages that wait."""
+        return len(self._images) + len(self._small)
+
+    def configure(self, sync):
+        """Go on with other bounds."""
+        self._seconds = round(sync.queue * 1e9)
+        self._max_bytes = sync.queue_bytes
+
+    def put(self, item):
+        """Add a message, on the thread of the subscriptions; never blocks for long."""
+        dropped = []
+        with self._changed:
+            if item.input.is_image:
+                self._images.append(item)
+                self.bytes += len(item.data)
+                while self._images and (self.bytes > self._max_bytes or item.arrival
+                                        - self._images[0].arrival > self._seconds):
+                    dropped.append(self._images.popleft())
+                    self.bytes -= len(dropped[-1].data)
+            else:
+                self._small.append(item)
+                if len(self._small) > MAX_SMALL:
+                    dropped.append(self._small.popleft())
+            self._changed.notify()
+        for old in dropped:
+            self._on_drop(old)
+
+    def get(self, timeout):
+        """Return the message that came first, None when none came within *timeout* seconds."""
+        end = time.monotonic() + timeout
+        with self._changed:
+            while not (self._images or self._small or self._woken):
+                left = end - time.monotonic()
+                if left <= 0 or not self._changed.wait(left):
+                    break
+            self._woken = False
+            if not (self._images or self._small):
+                return None
+            first = not self._images or self._small and \
+                self._small[0].arrival <= self._images[0].arrival
+            item = (self._small if first else self._images).popleft()
+            if item.input.is_image:
+                self.bytes -= len(item.data)
+            return item
+
+    def wake(self):
+        """Let a waiting get() return now."""
+        with self._changed:
+            self._woken = True
+            self._changed.notify()
+
+    def clear(self):
+        """Forget everything that waits."""
+        with self._changed:
+            self._images.clear()
+            self._small.clear()
+            self.bytes = 0

@@ -1,0 +1,97 @@
+"""Refinements beside the mapping: begun and finished by the worker, computed on a thread."""
+
+from concurrent.futures import Future, ThreadPoolExecutor
+import time
+
+from persem_ros.core.refine import abandon, begin, finish
+from persem_ros.errors import PersemError
+
+
+class Refiner:
+    """
+    One refinement at a time.
+
+    All methods but the computing itself run on the worker's thread.
+
+    Parameters
+    ----------
+    statistics : persem_ros.ros.statistics.Statistics
+        Learns how long refinements take.
+    wake : callable
+        Called from the computing thread when it is done.
+
+    """
+
+    def __init__(self, statistics, wake):
+        """Start without a refinement."""
+        self._statistics, self._wake = statistics, wake
+        self._thread = ThreadPoolExecutor(1, 'refine')
+        self._job = self._result = None
+        self._began = time.monotonic()
+        self._count = 0
+        self._asked = []        # futures of those who want a full refinement from here on
+        self._served = []       # futures that the refinement under way will answer
+
+    def step(self, memory, settings):
+        """Finish what is done, begin what is due; return whether labels have changed."""
+        finished = self._finish(memory)
+        if self._job is None and memory.n_voxels and self._due(settings):
+            self._begin(memory, settings)
+        elif self._job is None and not memory.n_voxels:
+            for asked in self._asked:
+                asked.set_exception(PersemError('the map is empty, there is nothing to refine'))
+            self._asked = []
+        return finished
+
+    def ask(self):
+        """Return a Future of a full refinement begun from now on: (voxels visited, seconds)."""
+        future = Future()
+        self._asked.append(future)
+        return future
+
+    def close(self):
+        """Wait for what is being computed and forget it."""
+        self._thread.shutdown()
+        for future in self._asked + self._served:
+            future.set_exception(PersemError('the node is shutting down'))
+
+    def _due(self, settings):
+        return self._asked or time.monotonic() - self._began >= settings.period
+
+    def _begin(self, memory, settings):
+        full = bool(self._asked) or self._count % settings.volatility_every == 0
+        self._count += 1
+        self._began = time.monotonic()
+        self._job = begin(memory, settings, full)
+        self._served, self._asked = self._asked, []
+        self._result = self._thread.submit(self._compute, self._job)
+
+    def _compute(self, job):
+        try:
+            return job.compute()
+        finally:
+            self._wake()
+
+    def _finish(self, memory):
+        if self._job is None or not self._result.done():
+            return False
+        job, result, served = self._job, self._result, self._served
+        self._job = self._result = None
+        self._served = []
+        if job.memory is not memory:        # the map was replaced meanwhile
+            abandon(job)
+            self._asked += served
+            return False
+        error = result.exception()
+        if error is not None:
+            abandon(job)
+            for future in served:
+                future.set_exception(error)
+            raise error
+        visited = finish(job, *result.result())
+        took = time.monotonic() - self._began
+        self._statistics.refinements += 1
+        self._statistics.refined_in, self._statistics.visited = took, visited
+        for future in served:
+            future.set_result((visited, took))
+        return True

@@ -1,0 +1,71 @@
+"""What the node knows of itself: rates, latencies, drops; written by the worker, read by all."""
+
+from collections import Counter, deque
+import time
+
+WINDOW = 5.0        # s over which rates are taken
+KEPT = 1000         # latencies
+
+
+class Rate:
+    """Events per second over the last seconds."""
+
+    def __init__(self):
+        """Start without events."""
+        self._times = deque(maxlen=KEPT)
+
+    def note(self):
+        """Count an event."""
+        self._times.append(time.monotonic())
+
+    def __call__(self):
+        """Return the rate in Hz."""
+        first = time.monotonic() - WINDOW
+        return sum(t >= first for t in list(self._times)) / WINDOW
+
+
+class Statistics:
+    """
+    Counters of the node.
+
+    Attributes
+    ----------
+    dropped : collections.Counter
+        By reason.
+    frames : int
+        Frames integrated or, while paused, rendered.
+    last_frame : float or None
+        When, time.monotonic().
+    refined_in : float
+        Seconds that the last refinement took.
+    error : str
+        The last thing that went wrong.
+
+    """
+
+    def __init__(self):
+        """Start at zero."""
+        self.dropped = Counter()
+        self.frames = 0
+        self.last_frame = None
+        self.frame_rate = Rate()
+        self.refinements = 0
+        self.refined_in = 0.0
+        self.visited = 0
+        self.error = ''
+        self._latencies = deque(maxlen=KEPT)
+
+    def frame(self, latency):
+        """Count a frame that was done *latency* seconds after its last message came."""
+        self.frames += 1
+        self.last_frame = time.monotonic()
+        self.frame_rate.note()
+        self._latencies.append((self.last_frame, latency))
+
+    def latencies(self):
+        """Return (p50, p95) of the recent latencies in seconds, (0, 0) without frames."""
+        first = time.monotonic() - 2 * WINDOW
+        recent = sorted(latency for at, latency in list(self._latencies) if at >= first)
+        if not recent:
+            return 0.0, 0.0
+        return recent[len(recent) // 2], recent[min(len(recent) - 1, len(recent) * 95 // 100)]

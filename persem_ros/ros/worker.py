@@ -1,0 +1,255 @@
+"""The one thread that owns the map: takes messages, integrates, renders, publishes."""
+
+from collections import Counter
+from concurrent.futures import Future
+import logging
+import queue
+import threading
+import time
+
+import numpy as np
+from persem_ros.core.jit import Announcement
+from persem_ros.core.render import render
+from persem_ros.core.warmup import warm_up
+from persem_ros.errors import PersemError
+from persem_ros.inputs.sync import QUEUE_FULL
+from persem_ros.pipeline import Pipeline
+from persem_ros.ros.images import NO_SOURCE
+from persem_ros.ros.refiner import Refiner
+
+log = logging.getLogger(__name__)
+TICK = 0.05             # s between two looks at frames that wait for what does not come
+THROTTLE = 5.0          # s between two warnings for one reason
+
+
+class Worker(threading.Thread):
+    """
+    Owns the pipeline and its memory; everybody else asks it through `call`.
+
+    Parameters
+    ----------
+    config : persem_ros.config.Config
+    statistics : persem_ros.ros.statistics.Statistics
+
+    Attributes
+    ----------
+    pipeline : persem_ros.pipeline.Pipeline
+    paused : bool
+        True: frames are rendered and not integrated.
+    ready : threading.Event
+        Set when the kernels are compiled.
+
+    """
+
+    def __init__(self, config, statistics, memory=None):
+        """Make an empty map, or go on with *memory*."""
+        super().__init__(name='worker', daemon=True)
+        self.pipeline = Pipeline(config, memory)
+        self.statistics = statistics
+        self.paused = False
+        self.ready = threading.Event()
+        self.refiner = Refiner(statistics, self._wake)
+        self._calls = queue.SimpleQueue()
+        self._stopped = False
+        self._centre = np.zeros(3)
+        self._mapped = time.monotonic()
+        self._stale = set()         # what the map's topics have not shown yet: 'map', 'changes'
+        self._listening = set()
+        self._warned = {}           # reason -> when
+        self._reported = Counter()  # drops that were warned of
+
+    def connect(self, inbox, intake, images, maps, inputs):
+        """
+        Say where messages come from and results go, before the start.
+
+        Parameters
+        ----------
+        inbox : persem_ros.ros.inbox.Inbox
+        intake : persem_ros.inputs.live.LiveIntake
+        images : dict of str to persem_ros.ros.images.ImageOutputs
+            By camera.
+        maps : persem_ros.ros.map.MapOutputs
+        inputs : list of persem_ros.ros.inputs.Input
+
+        """
+        self.inbox, self.intake, self.images, self.map = inbox, intake, images, maps
+        self.inputs = inputs
+
+    @property
+    def config(self):
+        """The settings in force."""
+        return self.pipeline.config
+
+    @property
+    def memory(self):
+        """The map."""
+        return self.pipeline.memory
+
+    def call(self, function, *arguments):
+        """Have the worker call function(*arguments) between two frames; return a Future."""
+        future = Future()
+        self._calls.put((future, function, arguments))
+        self._wake()
+        return future
+
+    def stop(self):
+        """End the thread after the frame that it is at."""
+        self._stopped = True
+        self._wake()
+        self.join()
+        self.refiner.close()
+        self.map.close()
+
+    def run(self):
+        """Work until stopped; whatever goes wrong is logged and counted."""
+        with Announcement():
+            self._guarded(warm_up)
+        self.ready.set()
+        while not self._stopped:
+            item = self.inbox.get(TICK)
+            self._guarded(self._step, item)
+
+    def configure(self, config):
+        """Go on with other settings, between two frames."""
+        self.pipeline.config = config
+        self.intake.configure(config)
+        self.inbox.configure(config.sync)
+
+    def replace(self, memory):
+        """Go on with another map; None: an empty one."""
+        self.pipeline = Pipeline(self.config, memory)
+        self._stale = {'map', 'changes'}
+
+    def jumped(self):
+        """Time went back: a new session begins, or a new map."""
+        if self.config.map.on_time_jump == 'reset':
+            self.replace(None)
+        else:
+            self.memory.new_session()
+        log.warning('time went back (a recording that loops, or a clock that was set): queues '
+                    'and poses are cleared, the map is %s (map.on_time_jump)',
+                    'reset' if self.config.map.on_time_jump == 'reset' else 'kept')
+
+    def complain(self, reason, sentence):
+        """Log a warning, once in a while for each reason."""
+        self.statistics.error = sentence
+        now = time.monotonic()
+        if now - self._warned.get(reason, -THROTTLE) >= THROTTLE:
+            self._warned[reason] = now
+            log.warning('%s (%d so far)', sentence, self.statistics.dropped[reason])
+
+    def lost(self, item):
+        """Count a message that the inbox had no room for; from any thread."""
+        self.call(self._lost, item)
+
+    def _lost(self, item):
+        reason = QUEUE_FULL if item.input.role == 'labels' else f'{item.input.role}: {QUEUE_FULL}'
+        self.statistics.dropped[reason] += 1
+        self.complain(reason, f'{item.input.name}: images come faster than they are mapped, the '
+                      'oldest are dropped; a larger memory.stride or memory.voxel_size is faster')
+
+    def _wake(self):
+        self.inbox.wake()
+
+    def _guarded(self, function, *arguments):
+        """Call a function; the node outlives whatever it raises."""
+        try:
+            function(*arguments)
+        except Exception as error:      # noqa: B902
+            reason = f'internal error: {type(error).__name__}'
+            self.statistics.dropped[reason] += 1
+            self.complain(reason, f'{reason}: {error}')
+            log.debug('traceback', exc_info=True)
+
+    def _step(self, item):
+        """Take one message, or look at what waits; then whatever else is due."""
+        now = time.monotonic_ns() if item is None else item.arrival
+        if item is not None:
+            self._take(item)
+        for frame in self.intake.leaving(now):
+            self._frame(frame, now)
+        self._report(item)
+        while not self._calls.empty():
+            self._answer(*self._calls.get())
+        if self.refiner.step(self.memory, self.config.refine):
+            self._stale |= {'map', 'changes'}
+        if self.inbox.bytes == 0:       # nothing is late for the map's sake
+            self._publish_map()
+
+    def _take(self, item):
+        for taker in item.input.takers:
+            self.intake.take(item.input.role, taker, item.kind, item.arrival, item.data)
+
+    def _frame(self, frame, now):
+        """Integrate one frame, publish what is wanted of it."""
+        try:
+            observations = None if self.paused else self.pipeline.add(frame)
+        except PersemError as error:
+            self.statistics.dropped['frame refused'] += 1
+            self.complain('frame refused', f'a frame was dropped: {error}')
+            return
+        outputs = self.images[frame.sensor]
+        wanted = outputs.wanted()
+        if wanted:
+            labels = self.pipeline.render(frame, observations)
+            outputs.publish(wanted, frame, labels, lambda: self._sources(frame, observations))
+        if observations is not None:
+            self._stale.add('map')
+            self._centre = frame.T_map_camera[:3, 3] - self.memory.origin
+        self.statistics.frame((time.monotonic_ns() - now) / 1e9)
+
+    def _sources(self, frame, observations):
+        """Return which step decided each pixel of the depth grid, uint8."""
+        voxels = self.pipeline.voxel_image(frame, observations)
+        sources = self.memory.m.voxels['source'][:self.memory.n_voxels].astype(np.uint16)
+        image = render(voxels, sources)
+        return np.where(voxels < 0, NO_SOURCE, image).astype(np.uint8)
+
+    def _answer(self, future, function, arguments):
+        try:
+            future.set_result(function(*arguments))
+        except Exception as error:      # noqa: B902  for whoever asked
+            future.set_exception(error)
+
+    def _report(self, item):
+        """Warn of what was dropped since the last time."""
+        dropped = self.statistics.dropped
+        if dropped.total() == self._reported.total():
+            return
+        self.intake.explain()
+        for reason in dropped - self._reported:
+            if not reason.startswith('internal') and reason != 'frame refused':
+                self._warn(reason, item)
+        self._reported = dropped.copy()
+
+    def _warn(self, reason, item):
+        """Warn of messages dropped for a reason; *item* came last."""
+        role = reason.partition(':')[0] if ':' in reason else 'labels'
+        names = [one.name for one in self.inputs if one.role == role] or [role]
+        stamp = item.input.stamp_of(item.data) if item is not None else None
+        at = '' if stamp is None else f' near {stamp / 1e9:.3f} s'
+        example = self.intake.examples.get(reason, '')
+        self.complain(reason, f'{names[0]}{at}: dropped, {reason}'
+                      + (f'; {example}' if example and example != reason else ''))
+
+    def _publish_map(self):
+        """Hand the map to its publishers when somebody listens and it is time."""
+        if self.map.busy or not self.memory.frames:
+            return
+        wanted = self.map.wanted()
+        if 'changes' in self._listening - wanted:
+            self.map.forget()
+        if 'changes' in wanted - self._listening:
+            self._stale.add('changes')
+        self._listening = wanted
+        due = wanted & self._stale
+        rate, now = self.config.map.rate, time.monotonic()
+        if not rate or now - self._mapped < 1.0 / rate:
+            due.discard('map')
+        if not due:
+            return
+        if 'map' in due:
+            self._mapped = now
+        self._stale -= due
+        self.map.publish(due, self.memory.voxels(), self.memory.voxel_size,
+                         self.memory.frames[-1].stamp, self._centre, self.config.map)
