@@ -72,7 +72,8 @@ def integration(big):
         open3d = median_ms(rivals.open3d_seconds(big.last)[2:])
         octomap = median_ms(rivals.octomap_seconds(big.last[:4])[1:])
     except ImportError as error:
-        return rows + [row(f'rivals: {error.name} is missing (pip install .[bench])', '-', '-', None)]
+        what = f'rivals: {error.name} is missing (pip install .[bench])'
+        return rows + [row(what, '-', '-', None)]
     rows.append(row(f'... against Open3D VoxelBlockGrid.integrate ({open3d:.1f} ms)',
                     f'{ours / open3d:.2f} x', '<= 0.5 x', ours <= 0.5 * open3d))
     rows.append(row(f'... against OctoMap insertPointCloud, which casts free space too '

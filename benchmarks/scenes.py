@@ -1,10 +1,12 @@
 """What the benchmarks measure on: a simulated flight and maps of any size."""
 
+from dataclasses import replace
+
 import numpy as np
 
+from persem_ros.config import Config
 from persem_ros.core.images import backprojected
 from persem_ros.core.observe import Observations
-from persem_ros.config import Config
 from persem_ros.simulate.flight import Flight, Plan
 
 SIZE = 640, 480
@@ -18,7 +20,6 @@ def flight(frames, rate):
 
 def frames(plan):
     """Yield the flight's frames with 16 classes: every class is split in two by 40 m squares."""
-    from dataclasses import replace
     for frame in Flight(plan, workers=1).frames():
         points = backprojected(frame, Config().memory)
         where = points @ frame.T_map_camera[:3, :3].T + frame.T_map_camera[:3, 3]

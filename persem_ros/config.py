@@ -1,8 +1,8 @@
 """Every setting once: name, default, unit, range and help text (spec section 7)."""
 
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 import difflib
 import math
-from dataclasses import dataclass, field, fields, is_dataclass, replace
 
 from persem_ros.errors import PersemError
 
@@ -103,7 +103,7 @@ class Render:
 class Frames:
     """Coordinate frames."""
 
-    map: str = setting('map', 'frame in which voxels live', live=False)
+    map: str = setting('map', 'frame in which voxels live', live=False)    # noqa: A003
 
 
 @dataclass(frozen=True)
@@ -112,17 +112,17 @@ class Pose:
 
     source: str = setting('topic', 'poses from a topic or from /tf', choices=('topic', 'tf'),
                           live=False)
-    type: str = setting(
+    type: str = setting(    # noqa: A003
         'auto', 'type of the pose topic',
         choices=('auto', 'PoseStamped', 'PoseWithCovarianceStamped', 'Odometry',
                  'TransformStamped'), live=False)
     child_frame: str = setting(
-        '', "frame that the poses place in the map; empty: as the messages say", live=False)
+        '', 'frame that the poses place in the map; empty: as the messages say', live=False)
     max_gap: float = setting(0.5, 'widest gap between two poses that is interpolated', 's',
                              0.0, 3600.0)
     extrinsic: tuple = setting(
         (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-        'camera in the pose\'s child frame: x y z qx qy qz qw; all 0: from /tf_static',
+        'camera in the child frame of the pose: x y z qx qy qz qw; all 0: from /tf_static',
         live=False)
 
 
@@ -205,8 +205,8 @@ class Labels:
         '', 'legend: a shipped name (town, uavscenes, forest, cityscapes) or a YAML file; '
         "empty: the recording's own, else made-up colours", live=False)
     topic: str = setting(
-        'semantic/legend', 'legend as YAML text, latched; used where labels.legend is empty (node)',
-        live=False)
+        'semantic/legend', 'legend as YAML text, latched; used where labels.legend is empty '
+        '(node)', live=False)
 
 
 @dataclass(frozen=True)
@@ -222,7 +222,7 @@ class Config:
     sync: Sync = Sync()
     topics: Topics = Topics()
     qos: Qos = Qos()
-    map: Map = Map()
+    map: Map = Map()    # noqa: A003
     ema: Ema = Ema()
     labels: Labels = Labels()
     cameras: tuple = setting(

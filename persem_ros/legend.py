@@ -158,6 +158,7 @@ class Legend:
         """
         ids = np.asarray(ids)
         if ids.dtype not in (np.uint8, np.uint16):
+            ids = ids.astype(np.int64)      # NumPy 2.5 refuses 65535 among int16
             ids = np.where((ids < 0) | (ids > UNKNOWN), UNKNOWN, ids).astype(np.uint16)
         packed = self._palette.take(ids)            # four bytes a pixel: one move, not three
         if self.classes and not self._warned:

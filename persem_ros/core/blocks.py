@@ -35,7 +35,8 @@ def find_block(blocks, table, bi, bj, bk):
 def insert_block(blocks, table, b):
     """Enter block *b* into the hash table, which has room."""
     mask = np.uint64(len(table) - 1)
-    place = hash3(np.int64(blocks[b].index[0]), np.int64(blocks[b].index[1]), np.int64(blocks[b].index[2])) & mask
+    i, j, k = blocks[b].index
+    place = hash3(np.int64(i), np.int64(j), np.int64(k)) & mask
     while table[place] != 0:
         place = (place + np.uint64(1)) & mask
     table[place] = b + 1

@@ -8,7 +8,7 @@ from persem_ros.core.append import add_evidence, count_classes, new_link, read_e
 from persem_ros.core.blocks import make_block, new_table
 from persem_ros.core.fusion import link_of
 from persem_ros.core.jit import kernel
-from persem_ros.core.memory import FrameRecord, VoxelMemory, sort_order
+from persem_ros.core.memory import FrameRecord, sort_order, VoxelMemory
 from persem_ros.core.pools import CHUNK, OBSERVATIONS, STORED, VOXELS
 
 

@@ -9,7 +9,7 @@ from persem_ros.core.append import (
 from persem_ros.core.blocks import find_voxels, list_voxels, new_table, rehash
 from persem_ros.core.jit import kernel, split
 from persem_ros.core.pools import (
-    BLOCKS, CHUNK, FREE_VOXELS, OBSERVATIONS, STORED, Store, VOXELS)
+    BLOCKS, CHUNK, FREE_VOXELS, OBSERVATIONS, Store, STORED, VOXELS)
 from persem_ros.errors import PersemError
 
 

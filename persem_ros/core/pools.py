@@ -95,8 +95,8 @@ class Store:
                             ('spills', SPILLS)):
             if used[place] + voxels > self.capacity[name]:
                 raise PersemError(
-                    f'the map is full: {used[VOXELS]} voxels fill this machine\'s memory; choose '
-                    'a larger memory.voxel_size, a smaller memory.max_depth or max_history')
+                    f'the map is full: {used[VOXELS]} voxels fill the memory of this machine; '
+                    'choose a larger memory.voxel_size, a smaller memory.max_depth or max_history')
 
     def nbytes(self):
         """Return {pool: bytes in use}."""
@@ -120,7 +120,7 @@ def _reserve(dtype, nbytes):
             count //= 2
             if count < 4096:
                 raise PersemError('no memory for a map: the limit on address space '
-                                  "(ulimit -v) is too small") from None
+                                  '(ulimit -v) is too small') from None
     if hasattr(mmap, 'MADV_HUGEPAGE'):
         space.madvise(mmap.MADV_HUGEPAGE)
     return np.frombuffer(space, dtype)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from persem_ros.config import METHODS, Memory, Refine
+from persem_ros.config import Memory, METHODS, Refine
 from persem_ros.core.dump import dump, load
 from persem_ros.core.evict import keep_near
 from persem_ros.core.images import points

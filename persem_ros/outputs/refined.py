@@ -48,7 +48,7 @@ class RefinedWriter:
             self._out.image(f'{base}/labels_color', frame.stamp, frame.frame_id,
                             self._legend.colors(np.where(labels < 0, UNKNOWN, labels)), 'rgb8')
 
-    def map(self, points, stamp):
+    def map(self, points, stamp):       # noqa: A003
         """Write the map's points, latched."""
         with self._watch('write'):
             self._out.cloud('/mapper/map', stamp, self._config.frames.map, points, latched=True)
