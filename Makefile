@@ -22,7 +22,7 @@ test: $(VENV)/installed-test
 
 demo: $(VENV)/installed
 	$(RUN) -m persem_ros simulate demo/flight --force
-	$(RUN) -m persem_ros replay demo/flight --out demo/result --force
+	$(RUN) -m persem_ros replay demo/flight --out demo/result --force --set 'memory.dynamic_labels=[10]'
 
 bench: $(VENV)/installed-bench
 	$(RUN) benchmarks/run.py $(ARGS)
