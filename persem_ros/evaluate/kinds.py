@@ -61,7 +61,7 @@ def kinds_of(labels, codes, index, dynamic=()):
     n, methods = labels.shape
     of = np.empty(n, np.int32)
     first = group(labels, codes, index, of)
-    rows = index[labels[first]].reshape(-1, methods)
+    rows = index[labels[first]]
     unknown = np.zeros((1, methods), np.uint16)
     dynamic = sorted({c for c in dynamic if c >= 0})
     moving = np.full(len(index), -1, np.int32)

@@ -8,7 +8,7 @@ from pathlib import Path
 from persem_ros import config_file
 from persem_ros.config import nearest
 from persem_ros.errors import PersemError
-from persem_ros.evaluate import combine, jobs, manifest, table
+from persem_ros.evaluate import combine, jobs, manifest, page, table
 from persem_ros.evaluate.sequence import ALL_METHODS, Task
 from persem_ros.evaluate.taxonomy import taxonomy
 from persem_ros.evaluate.tables import tables
@@ -58,6 +58,8 @@ def evaluate(recordings, out, config, methods=ALL_METHODS, labels='', grouped=Fa
 
     """
     methods = chosen_methods(methods)
+    if figures:
+        page.check()            # before the work
     paths = named(recordings)
     tasks = {name: Task(str(path), config, methods, str(labels), grouped, dynamic,
                         _predictions(predictions, name, len(paths)), pictures=figures)
@@ -75,7 +77,7 @@ def evaluate(recordings, out, config, methods=ALL_METHODS, labels='', grouped=Fa
     write_text(folder / 'config.yaml', config_file.to_yaml(config))
     write(folder, evaluation)
     if figures:
-        from persem_ros.evaluate import page
+
         page.write(folder, evaluation, results)
     return evaluation
 
