@@ -39,7 +39,7 @@ MAY_IMPORT = {
     'cli': NOUNS | {'commands'},
     'ros': LIBRARIES,
 }
-ROS = re.compile(r'(rclpy|rosidl_\w+|builtin_interfaces|\w+_msgs|\w+_srvs|tf2_\w+|cv_bridge|'
+ROS = re.compile(r'(rclpy|rosidl_\w+|\w+_interfaces|\w+_msgs|\w+_srvs|tf2_\w+|cv_bridge|'
                  r'message_filters|launch\w*|ament_\w+)$')
 CORE_THIRD_PARTY = {'numpy', 'numba'}
 # What the command line may load before it knows the sub-command: 'persem --help' comes at once.

@@ -36,7 +36,7 @@ class Assembler:
 
     @property
     def frame_id(self):
-        """The frame of the first camera info, None before it has come."""
+        """Return the frame of the first camera info, None before it has come."""
         return messages.frame_id(self._infos[0][2]) if self._infos else None
 
     def add_info(self, info):

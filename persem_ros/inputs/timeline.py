@@ -28,7 +28,7 @@ class Timeline:
 
     @property
     def now(self):
-        """The median of the recent stamps, None before the first."""
+        """Return the median of the recent stamps, None before the first."""
         return sorted(self._recent)[len(self._recent) // 2] if self._recent else None
 
     def judge(self, stamp):

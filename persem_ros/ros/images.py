@@ -47,6 +47,7 @@ class ImageOutputs:
         wanted : set of str
             Names of topics.
         frame : persem_ros.frames.Frame
+            The input.
         labels : ndarray, shape (H, W), int32
             Refined labels.
         sources : callable

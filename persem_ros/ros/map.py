@@ -77,6 +77,7 @@ class MapOutputs:
         centre : ndarray, shape (3,)
             The camera in the map, metres, map.origin taken off.
         settings : persem_ros.config.Map
+            Crop, cap and least observations.
 
         """
         self._job = self._thread.submit(self._publish, wanted, columns, voxel_size, stamp, centre,

@@ -16,7 +16,7 @@ from persem_ros.ros.inputs import check_topics, Inputs
 from persem_ros.ros.map import LATCHED, MapOutputs
 from persem_ros.ros.parameters import Parameters
 from persem_ros.ros.services import Services
-from persem_ros.ros.statistics import Statistics
+from persem_ros.ros.counters import Statistics
 from persem_ros.ros.watchdog import Watchdog
 from persem_ros.ros.worker import Worker
 import rclpy

@@ -15,7 +15,7 @@ class Refiner:
 
     Parameters
     ----------
-    statistics : persem_ros.ros.statistics.Statistics
+    statistics : persem_ros.ros.counters.Statistics
         Learns how long refinements take.
     wake : callable
         Called from the computing thread when it is done.

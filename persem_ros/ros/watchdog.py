@@ -16,7 +16,7 @@ class Watchdog:
     Parameters
     ----------
     inputs : persem_ros.ros.inputs.Inputs
-    statistics : persem_ros.ros.statistics.Statistics
+    statistics : persem_ros.ros.counters.Statistics
 
     Attributes
     ----------

@@ -29,7 +29,7 @@ class Worker(threading.Thread):
     Parameters
     ----------
     config : persem_ros.config.Config
-    statistics : persem_ros.ros.statistics.Statistics
+    statistics : persem_ros.ros.counters.Statistics
 
     Attributes
     ----------
@@ -65,11 +65,15 @@ class Worker(threading.Thread):
         Parameters
         ----------
         inbox : persem_ros.ros.inbox.Inbox
+            Messages.
         intake : persem_ros.inputs.live.LiveIntake
+            Messages to frames.
         images : dict of str to persem_ros.ros.images.ImageOutputs
-            By camera.
+            Refined images, by camera.
         maps : persem_ros.ros.map.MapOutputs
+            The map.
         inputs : list of persem_ros.ros.inputs.Input
+            The topics, for warnings that name them.
 
         """
         self.inbox, self.intake, self.images, self.map = inbox, intake, images, maps
@@ -77,12 +81,12 @@ class Worker(threading.Thread):
 
     @property
     def config(self):
-        """The settings in force."""
+        """Return the settings in force."""
         return self.pipeline.config
 
     @property
     def memory(self):
-        """The map."""
+        """Return the map."""
         return self.pipeline.memory
 
     def call(self, function, *arguments):
