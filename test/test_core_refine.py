@@ -60,6 +60,19 @@ def test_thresholds_hit_exactly(method):
     check()
 
 
+@pytest.mark.parametrize('method', ['unweighted', 'recency', 'consensus', 'probabilistic'])
+def test_close_votes(method):
+    # Thousands of voxels with three classes near a draw: a weight one percent off shows.
+    rng, cells = np.random.default_rng(8), [(3 * i, 0, 0) for i in range(3000)]
+    frames = []
+    for t in range(9):
+        frames.append((t, {cell: (int(rng.integers(3)), float(np.float32(s))) for cell, s in zip(
+            cells, rng.uniform(0.4, 1.0, len(cells))) if rng.random() < 0.8}, (0, 1, 2)))
+    memory, expected = core_of(frames), reference_of(frames)
+    for settings in (Refine(), replace(Refine(), lambda_recency=0.4, beta=1.3)):
+        assert labels_of(memory, method, settings) == ref.label(expected, method, settings)
+
+
 def margins_of(expected, method, settings):
     """Return (setting, margin) of every candidate in the map: thresholds worth trying."""
     found = []
