@@ -14,6 +14,7 @@ before = jit.signatures()
 from dataclasses import replace
 from persem_ros.config import METHODS, Memory, Refine
 from persem_ros.core.dump import dump, load
+from persem_ros.core.evict import keep_near
 from persem_ros.core.images import points
 from persem_ros.core.memory import VoxelMemory
 from persem_ros.core.observe import observe
@@ -66,6 +67,8 @@ memory.history(memory.voxels()['voxel'][0])
 memory.evidence([int(i) for i in memory.voxels()['voxel'][0]])
 memory.find([[0, 0, 0]])
 memory.volatility()
+assert keep_near(memory, [1, 2, 3], 1.0, 10) > 0
+refine(memory, Refine(), full=False)
 
 after = jit.signatures()
 for name in sorted(after):
