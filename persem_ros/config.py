@@ -304,6 +304,8 @@ def _camera_topics(config):
 def _checked(name, value, default, meta):
     """Return *value* in the type of *default*, or refuse it."""
     kind = type(default)
+    if hasattr(value, 'tolist'):    # NumPy's numbers and arrays; nothing here imports it
+        value = value.tolist()
     if kind is tuple:
         value = [value] if isinstance(value, (str, int, float)) else value
         inner = type(default[0])
