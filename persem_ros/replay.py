@@ -1,13 +1,11 @@
 """A recording becomes a refined map, refined images and metrics: `persem replay`."""
 
 import logging
-import sys
 
 import numpy as np
-from tqdm import tqdm
 
 from persem_ros import config_file
-from persem_ros.ahead import WriteBehind, read_ahead
+from persem_ros.ahead import read_ahead, WriteBehind
 from persem_ros.config import IMAGE_METHODS, METHODS, nearest
 from persem_ros.core.jit import Announcement
 from persem_ros.core.regions import regions
@@ -16,10 +14,12 @@ from persem_ros.errors import PersemError
 from persem_ros.inputs.recording import Recording
 from persem_ros.legend import Legend, load_legend
 from persem_ros.outputs import rundir, store
+from persem_ros.outputs.advice import Advice
 from persem_ros.outputs.cloud import map_points
 from persem_ros.outputs.files import write_json, write_text
 from persem_ros.outputs.metrics import Metrics
 from persem_ros.outputs.ply import map_comments, write_ply
+from persem_ros.outputs.progress import progress
 from persem_ros.outputs.refined import RefinedWriter
 from persem_ros.outputs.report.watcher import ReportWatcher
 from persem_ros.pipeline import Pipeline
@@ -43,105 +43,123 @@ class Replay:
     watchers : sequence
         Each is told of every rendered frame: watcher.frame(replay, frame, rendering); and at the
         end: watcher.finish(replay, result).
+    memory : persem_ros.core.memory.VoxelMemory, optional
+        A map to go on with.
 
     """
 
-    def __init__(self, recording, folder, config, methods, watchers=()):
+    def __init__(self, recording, folder, config, methods, watchers=(), memory=None):
         self.recording, self.folder, self.config = recording, folder, config
         self.methods, self.watchers = tuple(methods), tuple(watchers)
         self.watch = rundir.Stopwatch()
         self.legend = chosen_legend(config, recording)
-        self.pipeline = Pipeline(config, start_map(config))
+        self.advice = Advice(config, self.legend)
+        self.pipeline = Pipeline(config, memory)
+        self.renderer = Renderer(self.pipeline, self.methods)
         self.metrics = Metrics(self.methods)
         self.frames, self.causal = 0, False
 
     def run(self):
         """Build the map, refine it, render every frame from it; return metrics.json's content."""
-        for frame in self._read('integrating'):
-            with self.watch('integrate'):
-                self.pipeline.add(frame)
-            self.frames += 1
-            check_coordinates(frame, self.config)
+        with self._read('integrating') as frames:
+            for frame in frames:
+                self._integrate(frame)
         self._refine()
         self._write_map()
-        renderer = Renderer(self.pipeline, self.methods)
-        renderer.relabel()
+        # One more at the end: -1 is the number of no voxel, and no region its own.
         codes = np.append(regions(self.pipeline.memory, self.config.refine.neighbours)[0],
-                          np.uint8(0))      # the last one, -1, is that of no voxel
+                          np.uint8(0))
         with self._refined() as refined, WriteBehind() as later:
-            for frame in self._read('rendering', truth=True, color=bool(self.watchers)):
-                self._render(frame, renderer, None, codes, refined, later)
+            with self._read('rendering', truth=True, color=bool(self.watchers)) as frames:
+                for frame in frames:
+                    rendering = self._render(frame)
+                    self._measure(frame, rendering, codes)
+                    later(refined.frame, frame, rendering.published)
             later(refined.map, self.points, self.pipeline.memory.frames[-1].stamp)
         return self._finish()
 
     def run_causal(self):
         """Integrate, refine when it is time, render: what a node would have published."""
         self.causal, period = True, int(self.config.refine.period * 1e9)
-        renderer, refined_at = Renderer(self.pipeline, self.methods), None
+        refined_at = None
         with self._refined() as refined, WriteBehind() as later:
-            for frame in self._read('mapping', truth=True, color=bool(self.watchers)):
-                with self.watch('integrate'):
-                    observations = self.pipeline.add(frame)
-                self.frames += 1
-                check_coordinates(frame, self.config)
-                refined_at = frame.stamp if refined_at is None else refined_at
-                if frame.stamp - refined_at >= period:
-                    self._refine()
-                    renderer.relabel()
-                    refined_at = frame.stamp
-                self._render(frame, renderer, observations, None, refined, later)
+            with self._read('mapping', truth=True, color=bool(self.watchers)) as frames:
+                for frame in frames:
+                    observations = self._integrate(frame)
+                    refined_at = frame.stamp if refined_at is None else refined_at
+                    if frame.stamp - refined_at >= period:
+                        self._refine()
+                        refined_at = frame.stamp
+                    rendering = self._render(frame, observations)
+                    self._measure(frame, rendering)
+                    later(refined.frame, frame, rendering.published)
             self._refine()
             self._write_map()
-            later(refined.map, self.points, frame.stamp)
+            later(refined.map, self.points, self.pipeline.memory.frames[-1].stamp)
         return self._finish()
 
     def _read(self, what, **wanted):
-        """Yield the recording's frames, read ahead, with a progress bar on a terminal."""
+        """Give the recording's frames, read ahead, with a progress bar on a terminal."""
         frames = read_ahead(self.watch.iterate('read', self.recording.frames(**wanted)))
-        return tqdm(frames, what, self.recording.expected, unit=' frames', leave=False,
-                    dynamic_ncols=True, disable=not sys.stderr.isatty())
+        return progress(frames, what, self.recording.expected)
+
+    def _integrate(self, frame):
+        """Add a frame to the map; return its observations."""
+        with self.watch('integrate'):
+            observations = self.pipeline.add(frame)
+        self.frames += 1
+        self.advice.frame(frame)
+        return observations
 
     def _refine(self):
+        """Refine the map, and label it by the other methods."""
         with self.watch('refine'):
             self.pipeline.refine(full=True)
+        with self.watch('label'):
+            self.renderer.relabel()
 
-    def _render(self, frame, renderer, observations, codes, refined, later):
-        """Render one frame by every method, measure it and hand it on."""
+    def _render(self, frame, observations=None):
+        """Render a frame by every method."""
         with self.watch('render'):
-            rendering = renderer.render(frame, observations)
+            return self.renderer.render(frame, observations)
+
+    def _measure(self, frame, rendering, codes=None):
+        """Count a rendered frame and show it to the watchers."""
         with self.watch('measure'):
-            valid, truth = rendering.valid, rendering.truth
-            at = None if codes is None else codes[rendering.voxels]
-            self.metrics.update(valid, rendering.images, truth, at, frame.sensor)
-        for watcher in self.watchers:
-            watcher.frame(self, frame, rendering)
-        later(refined.frame, frame, rendering.published)
+            self.metrics.update(rendering.valid, rendering.images, rendering.truth,
+                                None if codes is None else codes[rendering.voxels], frame.sensor)
+        with self.watch('watch'):
+            for watcher in self.watchers:
+                watcher.frame(self, frame, rendering)
 
     def _refined(self):
         """Return the writer of refined/."""
         return RefinedWriter(self.folder / 'refined', self.legend, self.config, self.watch)
 
     def _write_map(self):
-        """Write map.ply and map.persem."""
+        """Write map.ply, map.persem and the settings, in place of those of an earlier run."""
         with self.watch('write map'):
             memory = self.pipeline.memory
             self.points = map_points(memory.voxels(), memory.voxel_size, self.legend)
+            rundir.clear(self.folder)
+            write_text(self.folder / 'config.yaml', config_file.to_yaml(self.config))
             write_ply(self.folder / 'map.ply', self.points, map_comments(
                 self.config.frames.map, memory.origin, memory.voxel_size))
             store.save(self.folder / 'map.persem', memory, self.config, self.legend)
 
     def _finish(self):
-        """Write metrics.json, config.yaml and timing.json; tell the watchers."""
+        """Write metrics.json and timing.json; tell the watchers; log what a user should know."""
         memory = self.pipeline.memory
         result = {'frames': {'used': self.frames, 'dropped': dict(self.recording.dropped)},
                   'voxels': memory.n_voxels, 'observations': memory.n_observations,
                   **self.metrics.result()}
-        write_text(self.folder / 'config.yaml', config_file.to_yaml(self.config))
         write_json(self.folder / 'metrics.json', result)
         self.timing = rundir.timing(self.watch, self.frames, memory.nbytes())
         write_json(self.folder / 'timing.json', self.timing)
         for watcher in self.watchers:
             watcher.finish(self, result)
+        for note in (*self.recording.notes, *self.advice.sentences(memory.seen_ids)):
+            log.warning(note)
         return result
 
 
@@ -156,6 +174,7 @@ def replay(path, out, config, methods=None, causal=False, force=False, watchers=
     out : str or Path
         The folder of the results.
     config : persem_ros.config.Config
+        All settings.
     methods : sequence of str, optional
         What is measured besides refine.method; raw2d and majority by default.
     causal : bool
@@ -180,15 +199,13 @@ def replay(path, out, config, methods=None, causal=False, force=False, watchers=
     """
     methods = chosen_methods(methods, config)
     with Recording(path, config) as recording:
-        folder = rundir.prepare(out, force)
+        memory = start_map(config)
+        folder = rundir.prepare(out, force, keep=(path, config.map.path))
         with Announcement():
             warm_up()
         watchers = [*watchers, *([ReportWatcher()] if report else [])]
-        job = Replay(recording, folder, config, methods, watchers)
-        result = job.run_causal() if causal else job.run()
-        for note in recording.notes:
-            log.warning(note)
-    return result
+        job = Replay(recording, folder, config, methods, watchers, memory)
+        return job.run_causal() if causal else job.run()
 
 
 def chosen_methods(methods, config):
@@ -218,18 +235,3 @@ def start_map(config):
     memory = store.load(config.map.path).memory(config)
     memory.new_session()
     return memory
-
-
-_warned = set()
-
-
-def check_coordinates(frame, config):
-    """Warn, once, where positions are so large that float32 points would be coarse."""
-    position = frame.T_map_camera[:3, 3] - config.map.origin
-    step = float(np.spacing(np.float32(np.abs(position).max())))
-    if step > config.memory.voxel_size / 20 and not _warned:
-        _warned.add(True)
-        proposal = [float(round(x, -3)) for x in frame.T_map_camera[:3, 3]]
-        log.warning('positions are so large that map points (float32) are exact to %.3g m only; '
-                    'move the origin with --set map.origin=%s', step,
-                    str(proposal).replace(' ', ''))

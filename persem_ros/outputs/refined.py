@@ -1,5 +1,7 @@
 """The recording refined/: what a node would have published, as rosbag2."""
 
+from contextlib import ExitStack
+
 import numpy as np
 
 from persem_ros.frames import UNKNOWN
@@ -29,10 +31,12 @@ class RefinedWriter:
 
     def __enter__(self):
         """Open the recording."""
-        self._out.__enter__()
-        text = self._legend.to_yaml()
-        if text:
-            self._out.text('/mapper/legend', text, latched=True)
+        with ExitStack() as stack:
+            stack.enter_context(self._out)
+            text = self._legend.to_yaml()
+            if text:
+                self._out.text('/mapper/legend', text, latched=True)
+            stack.pop_all()     # open now, until __exit__
         return self
 
     def __exit__(self, *error):

@@ -1,15 +1,15 @@
 """A run is a folder: what lies in it, and that nothing half-written ever does."""
 
+from collections import defaultdict
+from contextlib import contextmanager
+from importlib import metadata
 import os
+from pathlib import Path
 import platform
 import resource
 import shutil
 import subprocess
 import time
-from collections import defaultdict
-from contextlib import contextmanager
-from importlib import metadata
-from pathlib import Path
 
 from persem_ros import __version__
 from persem_ros.errors import PersemError
@@ -18,28 +18,38 @@ FILES = ('map.ply', 'map.persem', 'refined', 'metrics.json', 'config.yaml', 'tim
          'report.html')
 
 
-def prepare(path, force=False):
+def prepare(path, force=False, keep=()):
     """
-    Return the folder *path*, made and found writable.
+    Return the folder *path*, made and found writable; an earlier run in it is left to clear().
 
-    With *force* the files of an earlier run are removed first, and nothing else.
+    Parameters
+    ----------
+    path : str or Path
+        The folder of a run.
+    force : bool
+        Allow a folder that is not empty.
+    keep : iterable of str or Path
+        What the run itself reads, and must not replace; '' for nothing.
 
     Raises
     ------
     PersemError
-        When it is not empty and *force* is not set, is a file, or cannot be written.
+        When it is not empty and *force* is not set, when it is a file or cannot be written, or
+        when an input lies among the files that *force* would replace.
 
     """
     path = Path(path)
+    for name in filter(None, map(str, keep)):
+        if path.resolve() in Path(name).resolve().parents and _is_ours(_first(path, name)):
+            raise PersemError(f'{name} lies in {path}, whose files this run would replace; give '
+                              'another folder with --out')
     try:
         path.mkdir(parents=True, exist_ok=True)
-        names = {entry.name for entry in path.iterdir()}
-        if names and not force:
+        if any(path.iterdir()) and not force:
             raise PersemError(f'{path} is not empty; give another folder with --out, or --force '
                               'to replace the files of an earlier run')
-        for name in names & set(FILES):
-            old = path / name
-            shutil.rmtree(old) if old.is_dir() else old.unlink()
+        for left in [entry for entry in path.iterdir() if _is_left_behind(entry.name)]:
+            _remove(left)
         probe = path / f'.{os.getpid()}.probe'
         probe.write_bytes(b'')
         probe.unlink()
@@ -48,6 +58,38 @@ def prepare(path, force=False):
     except OSError as error:
         raise PersemError(f'cannot write to {path}: {error.strerror}') from error
     return path
+
+
+def clear(path):
+    """Remove the files of an earlier run from the folder *path*, and nothing else."""
+    try:
+        for name in FILES:
+            _remove(Path(path) / name)
+    except OSError as error:
+        raise PersemError(f'cannot replace {error.filename}: {error.strerror}') from error
+
+
+def _first(folder, path):
+    """Return the name in *folder* under which *path*, somewhere below it, lies."""
+    return Path(path).resolve().relative_to(Path(folder).resolve()).parts[0]
+
+
+def _is_ours(name):
+    """Whether *name* is a file or folder that a run leaves."""
+    return name in FILES
+
+
+def _is_left_behind(name):
+    """Whether *name* is what a run that was killed had not finished."""
+    return any(name.startswith(f'.{ours}.') and '.partial' in name for ours in FILES)
+
+
+def _remove(path):
+    """Remove a file or folder, if it is there."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 class Stopwatch:
@@ -91,6 +133,7 @@ def timing(watch, frames, sizes):
     Parameters
     ----------
     watch : Stopwatch
+        Where the time went.
     frames : int
         Frames integrated.
     sizes : dict
