@@ -10,7 +10,8 @@ import sys
 from persem_ros import __version__
 from persem_ros.errors import PersemError
 
-COMMANDS = ('simulate', 'convert', 'info', 'replay', 'evaluate', 'config', 'map')
+COMMANDS = ('simulate', 'convert', 'info', 'replay', 'evaluate', 'sweep', 'compare', 'config',
+            'map')
 
 DONE, REFUSED, USAGE, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 130, 141
 

@@ -39,13 +39,13 @@ def write(folder, evaluation, results):
     from persem_ros.evaluate import drawing, figures, sequence_figures
     shown = {'': []}
     with drawing.look():
-        for name, caption, figure in figures.figures(evaluation):
-            shown[''].append(_figure(name, caption, drawing.save(
-                figure, folder / 'figures' / name)))
+        for name, caption, drawn in figures.figures(evaluation):
+            shown[''].append(figure(name, caption, drawing.save(
+                drawn, folder / 'figures' / name)))
         for sequence, (summary, arrays) in results.items():
             legend = legend_of(summary)
-            shown[sequence] = [_figure(name, caption, drawing.save(
-                figure, folder / 'figures' / name)) for name, caption, figure in
+            shown[sequence] = [figure(name, caption, drawing.save(
+                drawn, folder / 'figures' / name)) for name, caption, drawn in
                 sequence_figures.figures(sequence, summary, arrays, legend)]
     write_text(folder / 'report.html', render(evaluation, shown))
 
@@ -60,16 +60,21 @@ def check():
 
 
 def render(evaluation, figures):
-    """Return the page as text; figures: lists of _figure by sequence, '' for all together."""
+    """Return the page as text; figures: lists of figure() by sequence, '' for all together."""
     found = {item.key: item for item in tables(evaluation)}
     defaults = {name: list(v) if isinstance(v, tuple) else v for name, v, _ in settings()}
     return environment().get_template('evaluation.html').render(
         evaluation=evaluation, macro=evaluation['macro']['all'], tables=found, figures=figures,
-        names=list(evaluation['sequences']), text_of=table.text_of, arrows=table.ARROWS,
+        names=list(evaluation['sequences']), **common(),
         cards=_cards(evaluation), has_truth=bool(evaluation['macro']['all']['sequences']),
         changed=[(name, value, defaults.get(name)) for name, value in
-                 evaluation['settings'].items() if value != defaults.get(name)],
-        written=datetime.now(timezone.utc).strftime('%Y-%m-%d %H:%M UTC'))
+                 evaluation['settings'].items() if value != defaults.get(name)])
+
+
+def common():
+    """Return what all pages of this package need."""
+    return {'text_of': table.text_of, 'arrows': table.ARROWS,
+            'written': datetime.now(timezone.utc).strftime('%Y-%m-%d %H:%M UTC')}
 
 
 @functools.lru_cache(maxsize=1)
@@ -86,7 +91,7 @@ def legend_of(summary):
         LegendClass(c['id'], c['name'], tuple(c['color'])) for c in summary['classes']))
 
 
-def _figure(name, caption, images):
+def figure(name, caption, images):
     """Return what the page shows of a figure."""
     raster = name.partition('-')[0] in RASTER
     uri = data_uri('image/png', images['png']) if raster \

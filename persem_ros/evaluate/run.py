@@ -62,17 +62,17 @@ def evaluate(recordings, out, config, methods=ALL_METHODS, labels='', grouped=Fa
         page.check()            # before the work
     paths = named(recordings)
     tasks = {name: Task(str(path), config, methods, str(labels), grouped, dynamic,
-                        _predictions(predictions, name, len(paths)), pictures=figures)
+                        predictions_of(predictions, name, len(paths)), pictures=figures)
              for name, path in paths.items()}
     frames = {name: check(task) for name, task in tasks.items()}
-    folder = prepare(out, _request(next(iter(tasks.values()))), force)
+    folder = prepare(out, request_of(next(iter(tasks.values()))), force)
     results = compute({folder / 'sequences' / name: task for name, task in tasks.items()},
                       workers, scheduler, list(frames.values()))
     results = {path.name: result for path, result in results.items()}
     warn(results)
     evaluation = {**combine.combined(results), 'versions': rundir.versions(),
                   'hardware': rundir.hardware(),
-                  'settings': {name: value for name, value in _request(
+                  'settings': {name: value for name, value in request_of(
                       next(iter(tasks.values())))['settings'].items()}}
     write_text(folder / 'config.yaml', config_file.to_yaml(config))
     write(folder, evaluation)
@@ -196,7 +196,7 @@ def named(recordings):
     return result
 
 
-def _predictions(folder, name, recordings):
+def predictions_of(folder, name, recordings):
     """Return the folder of one recording's predictions."""
     if folder and recordings > 1:
         folder = Path(folder) / name
@@ -206,7 +206,7 @@ def _predictions(folder, name, recordings):
     return str(folder)
 
 
-def _request(task):
+def request_of(task):
     """Return what all sequences of a folder share, as JSON."""
     found = manifest.identity(task)
     return {name: found[name] for name in (

@@ -1,0 +1,40 @@
+"""persem sweep: the same recordings under many settings."""
+
+from persem_ros.commands import add_settings
+from persem_ros.commands.evaluate import add_evaluation, methods_of
+
+
+def add_parser(subparsers):
+    """Add the sub-command and its options."""
+    parser = subparsers.add_parser(
+        'sweep', help='measure how settings, noise and order change the results',
+        description='Evaluates recordings at every combination of some values of settings: '
+                    'curves for one setting, heat maps for two. Besides the settings of persem '
+                    'config there are disturb.pose_noise (m), disturb.attitude_noise (degrees), '
+                    'disturb.pose_drift (m after 100 frames), disturb.depth_noise (share of the '
+                    'depth), disturb.order (recorded, reversed, shuffled) and disturb.seed.',
+        epilog='example: persem sweep flight --out result --vary refine.eta=0,0.15,0.3,0.6')
+    parser.add_argument('bags', metavar='BAG', nargs='+', help='rosbag2 recordings')
+    parser.add_argument('--vary', metavar='NAME=A,B,C', action='append', required=True,
+                        help='a setting and its values; may be given again')
+    parser.add_argument('--out', metavar='DIR', required=True, help='folder of the results')
+    parser.add_argument('--methods', metavar='A,B', default='raw2d,ema2d,majority,persem',
+                        help='methods to be compared, or all (default: %(default)s)')
+    add_evaluation(parser)
+    parser.add_argument('--no-figures', action='store_true', help='tables only')
+    add_settings(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args):
+    """Evaluate all points; print their table."""
+    from persem_ros import config_file
+    from persem_ros.evaluate.sweep import parse_vary, points_table, sweep
+    from persem_ros.evaluate.table import console
+    config = config_file.from_args(args.config, args.set_items)
+    result = sweep(args.bags, args.out, config, parse_vary(args.vary, config),
+                   methods_of(args.methods), args.labels, args.grouped, not args.no_dynamic,
+                   args.predictions, args.workers, args.scheduler, args.force,
+                   not args.no_figures)
+    print(console(points_table(result)))
+    print(f'\nresults in {args.out}')

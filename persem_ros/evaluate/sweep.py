@@ -1,0 +1,188 @@
+"""The same recordings under many settings: `persem sweep`."""
+
+from dataclasses import replace
+import itertools
+import json
+import math
+
+from persem_ros import config_file
+from persem_ros.config import nearest, settings, updated
+from persem_ros.errors import PersemError
+from persem_ros.evaluate import manifest, run, sweep_page, table
+from persem_ros.evaluate.combine import mean
+from persem_ros.evaluate.measures import BETTER, MEASURES
+from persem_ros.evaluate.sequence import Task
+from persem_ros.evaluate.stream import Disturbance
+from persem_ros.outputs import rundir
+from persem_ros.outputs.files import write_json, write_text
+from persem_ros.parameter_file import parse
+
+METHODS = ('raw2d', 'ema2d', 'majority', 'persem')
+DISTURB = 'disturb.'
+MOST = 2000         # points; more is a mistake in the command line
+
+
+def parse_vary(items, config):
+    """
+    Return {name: list of values} of options like refine.eta=0,0.1,0.3.
+
+    Raises
+    ------
+    PersemError
+        For a setting that does not exist (the nearest is named) or a value that does not fit.
+
+    """
+    axes = {}
+    for item in items:
+        name, equals, text = item.partition('=')
+        name = name.strip()
+        if not equals or not text.strip():
+            raise PersemError(f'--vary {item}: expected NAME=A,B,C, as in refine.eta=0,0.3,0.6')
+        if name in axes:
+            raise PersemError(f'--vary {name}: given twice; put all values into one list')
+        known = [n for n, _, _ in settings(config)] + [
+            DISTURB + n for n in Disturbance.__dataclass_fields__]
+        if name not in known:
+            raise PersemError(f'--vary: unknown setting {name!r}{nearest(name, known)}; '
+                              "'persem config' lists all settings, besides them there is "
+                              f'{", ".join(n for n in known if n.startswith(DISTURB))}')
+        axes[name] = list(dict.fromkeys(_checked(name, word, config) for word in _split(text)))
+    count = math.prod(map(len, axes.values()))
+    if not axes or count > MOST:
+        raise PersemError(f'--vary: expected 1 to {MOST} points, got {count if axes else 0}')
+    return axes
+
+
+def _split(text):
+    """Return the words between commas; commas in brackets part nothing."""
+    words, depth = [''], 0
+    for c in text:
+        depth += (c == '[') - (c == ']')
+        if c == ',' and depth == 0:
+            words.append('')
+        else:
+            words[-1] += c
+    return [word.strip() for word in words if word.strip()]
+
+
+def _checked(name, text, config):
+    """Return the value that a text means for a setting; refuse what does not fit."""
+    if name.startswith(DISTURB):
+        try:
+            value = parse(text)
+        except ValueError:
+            raise PersemError(f'--vary {name}: cannot read {text!r}') from None
+        Disturbance().with_value(name[len(DISTURB):], value)
+        return value
+    changed = updated(config, dict([config_file.parse_item(f'{name}={text}')]))
+    return next(v for n, v, _ in settings(changed) if n == name)
+
+
+def sweep(recordings, out, config, axes, methods=METHODS, labels='', grouped=False,
+          dynamic=True, predictions='', workers=0, scheduler='', force=False, figures=True):
+    """
+    Evaluate recordings at every combination of the values of *axes* (parse_vary).
+
+    The other parameters are those of run.evaluate. Points that are finished in the folder are
+    not computed again, also those of a sweep over other values.
+
+    Returns
+    -------
+    dict
+        The content of sweep.json: axes {name: values}, methods, points [{values, sequences:
+        {name: row}, mean: row}]; a row has truth_flicker, voxels, times and methods.
+
+    """
+    if figures:
+        sweep_page.check()
+    methods = run.chosen_methods(methods)
+    paths = run.named(recordings)
+    base = {name: Task(str(path), config, methods, str(labels), grouped, dynamic,
+                       run.predictions_of(predictions, name, len(paths)), pictures=False)
+            for name, path in paths.items()}
+    frames = [run.check(task) for task in base.values()]
+    points = [dict(zip(axes, values)) for values in itertools.product(*axes.values())]
+    folder = run.prepare(out, _request(next(iter(base.values())), axes), force)
+    tasks = {}
+    for k, values in enumerate(points):
+        for name, task in base.items():
+            tasks[k, name] = with_values(task, values)
+    folders = {place: folder / 'points' / manifest.key_of(manifest.identity(task))
+               for place, task in tasks.items()}
+    found = run.compute({folders[place]: task for place, task in tasks.items()}, workers,
+                        scheduler, frames * len(points))
+    result = {
+        'axes': {name: [_plain(v) for v in values] for name, values in axes.items()},
+        'methods': list(methods), 'taxonomy': next(iter(found.values()))[0]['taxonomy'],
+        'recordings': list(paths),
+        'points': [_point(values, {name: found[folders[k, name]][0] for name in paths})
+                   for k, values in enumerate(points)],
+        'settings': manifest.identity(next(iter(base.values())))['settings'],
+        'versions': rundir.versions(), 'hardware': rundir.hardware()}
+    write_json(folder / 'sweep.json', result)
+    item = points_table(result)
+    for suffix, form in table.FORMATS.items():
+        write_text(folder / f'sweep.{suffix}', form(item))
+    if figures:
+        sweep_page.write(folder, result, item)
+    return result
+
+
+def with_values(task, values):
+    """Return a task with some settings and disturbances changed."""
+    disturbance = task.disturbance
+    for name, value in values.items():
+        if name.startswith(DISTURB):
+            disturbance = disturbance.with_value(name[len(DISTURB):], value)
+    config = updated(task.config, {name: value for name, value in values.items()
+                                   if not name.startswith(DISTURB)})
+    return replace(task, config=config, disturbance=disturbance)
+
+
+def points_table(result):
+    """Return all points as a Table: the values in front, then measures by method."""
+    columns = tuple(table.Column({'pixel_accuracy': 'PA', 'miou': 'mIoU', 'flicker': 'Flicker'}[k],
+                                 BETTER[k], method) for method in result['methods']
+                    for k in MEASURES)
+    columns += (table.Column('Truth flicker'), table.Column('Voxels', digits=0),
+                table.Column('History, s'), table.Column('Refinement, s', digits=3))
+    rows = [(tuple(str(v) for v in point['values'].values()), tuple(
+        table.Cell(v) for v in (
+            *(point['mean']['methods'][m][k] for m in result['methods'] for k in MEASURES),
+            point['mean']['truth_flicker'], point['mean']['voxels'],
+            point['mean']['history_s'], point['mean']['refinement_s'])))
+            for point in result['points']]
+    n = len(result['recordings'])
+    return table.marked(table.Table(
+        'sweep', f'Sweep over {", ".join(result["axes"])}' + (f', mean of {n} sequences'
+                                                              if n > 1 else ''),
+        tuple(result['axes']), columns, rows))
+
+
+def _point(values, summaries):
+    """Return what sweep.json has of one point."""
+    rows = {name: {
+        'truth_flicker': s['truth_flicker'], 'voxels': s['voxels'],
+        'history_s': s['runtime']['history_s'],
+        'refinement_s': max(s['runtime']['refinement_s'].values(), default=None),
+        'peak_bytes': s['runtime']['peak_bytes'],
+        'methods': {m: {k: row[k] for k in MEASURES} for m, row in s['methods'].items()}}
+        for name, s in summaries.items()}
+    first = next(iter(rows.values()))
+    average = {key: mean(row[key] for row in rows.values()) for key in first if key != 'methods'}
+    average['methods'] = {m: {k: mean(row['methods'][m][k] for row in rows.values())
+                              for k in MEASURES} for m in first['methods']}
+    return {'values': {name: _plain(v) for name, v in values.items()}, 'sequences': rows,
+            'mean': average}
+
+
+def _request(task, axes):
+    """Return what all points of a folder share, as JSON."""
+    request = run.request_of(task)
+    request['settings'] = {name: value for name, value in request['settings'].items()
+                           if name not in axes}
+    return json.loads(json.dumps({**request, 'axes': sorted(axes)}))
+
+
+def _plain(value):
+    return list(value) if isinstance(value, tuple) else value
