@@ -98,12 +98,14 @@ def _in_processes(tasks, workers, bar):
         pool.shutdown(wait=False, cancel_futures=True)
         for child in children:
             child.terminate()
+        for child in children:
+            child.join()
 
 
 def _on_cluster(tasks, address, frames, bar):
     """Yield results of a dask cluster, whose workers see the recordings under the same path."""
     try:
-        from distributed import as_completed as as_finished, Client, CancelledError
+        from distributed import as_completed as as_finished, CancelledError, Client
         from distributed.scheduler import KilledWorker
     except ImportError as error:
         raise PersemError(f'--scheduler needs dask.distributed ({error}); install it with: pip '
@@ -122,7 +124,8 @@ def _on_cluster(tasks, address, frames, bar):
         futures = client.map(attempt_alone, tasks, pure=False, retries=2)
         places = {future.key: k for k, future in enumerate(futures)}
         try:
-            for future, result in as_finished(futures, with_results=True):
+            for future, result in as_finished(futures, loop=client.loop,
+                                              with_results=True):
                 bar.update(frames[places[future.key]])
                 yield places[future.key], result
         except (KilledWorker, CancelledError, OSError) as error:
