@@ -36,6 +36,8 @@ class Statistics:
         Frames integrated or, while paused, rendered.
     last_frame : float or None
         When, time.monotonic().
+    forgotten : int
+        Voxels that were too far away or too many.
     refined_in : float
         Seconds that the last refinement took.
     error : str
@@ -50,6 +52,7 @@ class Statistics:
         self.last_frame = None
         self.frame_rate = Rate()
         self.refinements = 0
+        self.forgotten = 0
         self.refined_in = 0.0
         self.visited = 0
         self.error = ''

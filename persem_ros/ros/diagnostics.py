@@ -47,6 +47,7 @@ class Diagnostics:
             'dropped': dropped,
             **{f'dropped: {reason}': n for reason, n in sorted(dict(statistics.dropped).items())},
             'voxels': memory.n_voxels, 'observations': memory.n_observations,
+            'forgotten voxels': statistics.forgotten,
             'map bytes': sum(memory.nbytes().values()), 'sessions': memory.session + 1,
             'refinements': statistics.refinements,
             'refinement (s)': f'{statistics.refined_in:.3f}',

@@ -32,47 +32,25 @@ class Refiner:
         self._asked = []        # futures of those who want a full refinement from here on
         self._served = []       # futures that the refinement under way will answer
 
-    def step(self, memory, settings):
-        """Finish what is done, begin what is due; return whether labels have changed."""
-        finished = self._finish(memory)
-        if self._job is None and memory.n_voxels and self._due(settings):
-            self._begin(memory, settings)
-        elif self._job is None and not memory.n_voxels:
-            for asked in self._asked:
-                asked.set_exception(PersemError('the map is empty, there is nothing to refine'))
-            self._asked = []
-        return finished
+    @property
+    def busy(self):
+        """Return whether a refinement is under way."""
+        return self._job is not None
 
-    def ask(self):
-        """Return a Future of a full refinement begun from now on: (voxels visited, seconds)."""
-        future = Future()
-        self._asked.append(future)
-        return future
+    def begin(self, memory, settings):
+        """Begin a refinement where one is due and none under way."""
+        if self._job is not None:
+            return
+        if memory.n_voxels:
+            if self._asked or time.monotonic() - self._began >= settings.period:
+                self._begin(memory, settings)
+            return
+        for asked in self._asked:
+            asked.set_exception(PersemError('the map is empty, there is nothing to refine'))
+        self._asked = []
 
-    def close(self):
-        """Wait for what is being computed and forget it."""
-        self._thread.shutdown()
-        for future in self._asked + self._served:
-            future.set_exception(PersemError('the node is shutting down'))
-
-    def _due(self, settings):
-        return self._asked or time.monotonic() - self._began >= settings.period
-
-    def _begin(self, memory, settings):
-        full = bool(self._asked) or self._count % settings.volatility_every == 0
-        self._count += 1
-        self._began = time.monotonic()
-        self._job = begin(memory, settings, full)
-        self._served, self._asked = self._asked, []
-        self._result = self._thread.submit(self._compute, self._job)
-
-    def _compute(self, job):
-        try:
-            return job.compute()
-        finally:
-            self._wake()
-
-    def _finish(self, memory):
+    def finish(self, memory):
+        """Enter what has been computed; return whether labels have changed."""
         if self._job is None or not self._result.done():
             return False
         job, result, served = self._job, self._result, self._served
@@ -95,3 +73,29 @@ class Refiner:
         for future in served:
             future.set_result((visited, took))
         return True
+
+    def ask(self):
+        """Return a Future of a full refinement begun from now on: (voxels visited, seconds)."""
+        future = Future()
+        self._asked.append(future)
+        return future
+
+    def close(self):
+        """Wait for what is being computed and forget it."""
+        self._thread.shutdown()
+        for future in self._asked + self._served:
+            future.set_exception(PersemError('the node is shutting down'))
+
+    def _begin(self, memory, settings):
+        full = bool(self._asked) or self._count % settings.volatility_every == 0
+        self._count += 1
+        self._began = time.monotonic()
+        self._job = begin(memory, settings, full)
+        self._served, self._asked = self._asked, []
+        self._result = self._thread.submit(self._compute, self._job)
+
+    def _compute(self, job):
+        try:
+            return job.compute()
+        finally:
+            self._wake()

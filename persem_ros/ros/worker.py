@@ -8,6 +8,7 @@ import threading
 import time
 
 import numpy as np
+from persem_ros.core.evict import keep_near
 from persem_ros.core.jit import Announcement
 from persem_ros.core.render import render
 from persem_ros.core.warmup import warm_up
@@ -19,6 +20,7 @@ from persem_ros.ros.refiner import Refiner
 
 log = logging.getLogger(__name__)
 TICK = 0.05             # s between two looks at frames that wait for what does not come
+TRIM = 0.5              # s between two looks at what is too far away
 THROTTLE = 5.0          # s between two warnings for one reason
 
 
@@ -50,9 +52,8 @@ class Worker(threading.Thread):
         self.ready = threading.Event()
         self.refiner = Refiner(statistics, self._wake)
         self._calls = queue.SimpleQueue()
-        self._stopped = False
-        self._centre = np.zeros(3)
-        self._mapped = time.monotonic()
+        self._ending = False
+        self._mapped = self._trimmed = time.monotonic()
         self._stale = set()         # what the map's topics have not shown yet: 'map', 'changes'
         self._listening = set()
         self._warned = {}           # reason -> when
@@ -92,15 +93,20 @@ class Worker(threading.Thread):
     def call(self, function, *arguments):
         """Have the worker call function(*arguments) between two frames; return a Future."""
         future = Future()
-        self._calls.put((future, function, arguments))
-        self._wake()
+        if self._ending:
+            future.set_exception(PersemError('the node is shutting down'))
+        else:
+            self._calls.put((future, function, arguments))
+            self._wake()
         return future
 
     def stop(self):
         """End the thread after the frame that it is at."""
-        self._stopped = True
+        self._ending = True
         self._wake()
         self.join()
+        while not self._calls.empty():
+            self._calls.get()[0].set_exception(PersemError('the node is shutting down'))
         self.refiner.close()
         self.map.close()
 
@@ -109,7 +115,7 @@ class Worker(threading.Thread):
         with Announcement():
             self._guarded(warm_up)
         self.ready.set()
-        while not self._stopped:
+        while not self._ending:
             item = self.inbox.get(TICK)
             self._guarded(self._step, item)
 
@@ -152,6 +158,11 @@ class Worker(threading.Thread):
         self.complain(reason, f'{item.input.name}: images come faster than they are mapped, the '
                       'oldest are dropped; a larger memory.stride or memory.voxel_size is faster')
 
+    @property
+    def _position(self):
+        """Return where the camera was last, metres in the map frame."""
+        return self.memory.frames[-1].T_map_sensor[:3, 3]
+
     def _wake(self):
         self.inbox.wake()
 
@@ -175,8 +186,10 @@ class Worker(threading.Thread):
         self._report(item)
         while not self._calls.empty():
             self._answer(*self._calls.get())
-        if self.refiner.step(self.memory, self.config.refine):
+        if self.refiner.finish(self.memory):
             self._stale |= {'map', 'changes'}
+        self._forget_far()
+        self.refiner.begin(self.memory, self.config.refine)
         if self.inbox.bytes == 0:       # nothing is late for the map's sake
             self._publish_map()
 
@@ -199,13 +212,25 @@ class Worker(threading.Thread):
             outputs.publish(wanted, frame, labels, lambda: self._sources(frame, observations))
         if observations is not None:
             self._stale.add('map')
-            self._centre = frame.T_map_camera[:3, 3] - self.memory.origin
         self.statistics.frame((time.monotonic_ns() - now) / 1e9)
+
+    def _forget_far(self):
+        """Keep the map within memory.keep_radius and memory.max_voxels, between refinements."""
+        bounds = self.config.memory
+        if self.refiner.busy or not self.memory.frames or \
+                not (bounds.max_voxels or bounds.keep_radius) or \
+                time.monotonic() - self._trimmed < TRIM:
+            return
+        self._trimmed = time.monotonic()
+        gone = keep_near(self.memory, self._position, bounds.keep_radius, bounds.max_voxels)
+        if gone:
+            self.statistics.forgotten += gone
+            self._stale |= {'map', 'changes'}
 
     def _sources(self, frame, observations):
         """Return which step decided each pixel of the depth grid, uint8."""
         voxels = self.pipeline.voxel_image(frame, observations)
-        sources = self.memory.m.voxels['source'][:self.memory.n_voxels].astype(np.uint16)
+        sources = self.memory.m.voxels['source'][:self.memory.n_numbers].astype(np.uint16)
         image = render(voxels, sources)
         return np.where(voxels < 0, NO_SOURCE, image).astype(np.uint8)
 
@@ -256,4 +281,5 @@ class Worker(threading.Thread):
             self._mapped = now
         self._stale -= due
         self.map.publish(due, self.memory.voxels(), self.memory.voxel_size,
-                         self.memory.frames[-1].stamp, self._centre, self.config.map)
+                         self.memory.frames[-1].stamp, self._position - self.memory.origin,
+                         self.config.map)
