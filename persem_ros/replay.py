@@ -1,5 +1,6 @@
 """A recording becomes a refined map, refined images and metrics: `persem replay`."""
 
+import functools
 import logging
 
 import numpy as np
@@ -201,11 +202,17 @@ def replay(path, out, config, methods=None, causal=False, force=False, watchers=
     with Recording(path, config) as recording:
         memory = start_map(config)
         folder = rundir.prepare(out, force, keep=(path, config.map.path))
-        with Announcement():
-            warm_up()
+        compile_kernels()
         watchers = [*watchers, *([ReportWatcher()] if report else [])]
         job = Replay(recording, folder, config, methods, watchers, memory)
         return job.run_causal() if causal else job.run()
+
+
+@functools.cache
+def compile_kernels():
+    """Compile or load the kernels, once a process; say so when it takes long."""
+    with Announcement():
+        warm_up()
 
 
 def chosen_methods(methods, config):

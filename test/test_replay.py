@@ -26,7 +26,7 @@ from persem_ros.outputs.recording import RecordingWriter
 from persem_ros.outputs.rundir import FILES
 from persem_ros.pipeline import Pipeline
 from persem_ros.rendering import Renderer
-from persem_ros.replay import replay
+from persem_ros.replay import compile_kernels, replay
 import pytest
 import replays
 from replays import config_of, recorded, refined_images
@@ -41,6 +41,12 @@ classes:
 - {id: 9, name: moving, dynamic: true}
 - {id: 255, name: nothing, ignored: true}
 """)
+
+
+@pytest.fixture(scope='module', autouse=True)
+def compiled():
+    """Compile all kernels, lest a line say so when the first replay does."""
+    compile_kernels()
 
 
 @pytest.fixture(scope='module')

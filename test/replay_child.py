@@ -1,0 +1,87 @@
+"""
+Replays in processes of their own that are killed, interrupted or run out of space on the way.
+
+Reads a JSON list of jobs from standard input, writes a JSON list of [exit status, standard error]
+to standard output; a status below 0 is the signal that ended the process. A job has the keys
+arguments (of the command line), phase, signal (a name, or '') and file_size (bytes that a file
+may have, or 0). The processes are forks of one that has loaded everything, which saves seconds.
+
+"""
+
+import json
+import os
+import resource
+import signal
+import sys
+import tempfile
+
+from persem_ros import cli, rendering, replay
+from persem_ros.outputs import files, recording, refined, rundir
+
+
+def main():
+    """Run all jobs."""
+    replay.compile_kernels()
+    json.dump([run(job) for job in json.load(sys.stdin)], sys.stdout)
+
+
+def run(job):
+    """Fork a process for one job; return its exit status and what it wrote as errors."""
+    with tempfile.TemporaryFile() as errors, open(os.devnull, 'w') as nothing:
+        pid = os.fork()
+        if pid == 0:
+            os.dup2(errors.fileno(), 2)
+            os.dup2(nothing.fileno(), 1)
+            status = 99
+            try:
+                prepare(job)
+                status = cli.main(job['arguments'])
+                sys.stderr.flush()
+            finally:
+                os._exit(status)
+        status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+        errors.seek(0)
+        return status, errors.read().decode()
+
+
+def prepare(job):
+    """Arrange for what the job wants to happen."""
+    if job['file_size']:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (job['file_size'],) * 2)
+    if job['signal']:
+        number = getattr(signal, job['signal'])
+        at(job['phase'], lambda: os.kill(os.getpid(), number))
+
+
+def at(phase, act):
+    """Have act() called when a replay gets to *phase*."""
+    if phase.startswith('writing '):    # the content is there, its name not yet
+        part = f'.{phase.removeprefix("writing ")}.'
+        before(files, '_sync', act, lambda path: part in str(path))
+    else:
+        owner, name, calls = {
+            'opening': (replay, 'start_map', 1),
+            'integrating': (replay.Replay, '_integrate', 6),
+            'refining': (replay.Replay, '_refine', 1),
+            'rendering': (rendering.Renderer, 'render', 6),
+            'recording': (refined.RefinedWriter, 'frame', 6),       # in another thread
+            'closing': (recording.RecordingWriter, '_move', 1),
+            'finishing': (rundir, 'timing', 1)}[phase]
+        count = []
+        before(owner, name, act, lambda *_: count.append(1) or len(count) == calls)
+
+
+def before(owner, name, act, when):
+    """Have act() called before owner.name, where when(*arguments) says so."""
+    original = getattr(owner, name)
+
+    def acting(*arguments):
+        if when(*arguments):
+            act()
+        return original(*arguments)
+
+    setattr(owner, name, acting)
+
+
+if __name__ == '__main__':
+    main()
