@@ -10,7 +10,7 @@ import numpy as np
 
 from persem_ros.core import images
 from persem_ros.core.memory import VoxelMemory
-from persem_ros.core.observe import observe
+from persem_ros.core.observe import gather
 from persem_ros.core.refine import refine
 from persem_ros.core.render import filled, render, voxel_image, voxel_image_of
 
@@ -34,10 +34,9 @@ class Pipeline:
 
     def observe(self, frame):
         """Return what a frame (persem_ros.frames.Frame) says about each voxel it sees."""
-        points, labels = images.points(frame, self.config.memory)
-        return observe(points, labels, frame.T_map_camera, self.memory.voxel_size,
-                       self.config.memory.min_pixels, self.memory.origin, frame.stamp,
-                       frame.sensor)
+        labels = images.counted_labels(frame, self.config.memory)
+        return gather(*self._placed(frame), labels, self.config.memory.min_pixels, frame.stamp,
+                      frame.T_map_camera, frame.sensor)
 
     def add(self, frame):
         """Integrate a frame; return its Observations."""
@@ -67,8 +66,12 @@ class Pipeline:
         shape = frame.depth.shape
         if observations is not None:
             return voxel_image(self.memory, observations, shape)
-        return voxel_image_of(self.memory, images.backprojected(frame, self.config.memory),
-                              frame.T_map_camera, shape)
+        return voxel_image_of(self.memory, *self._placed(frame), shape)
+
+    def _placed(self, frame):
+        """Return the voxels of the frame's pixels."""
+        return images.placed(frame, self.config.memory, self.memory.voxel_size,
+                             self.memory.origin)
 
     @property
     def unknown(self):

@@ -2,13 +2,14 @@
 
 from dataclasses import replace
 
-from core_worlds import examples, IDS, NO_IDS, seeds
+from core_worlds import examples, IDS, NO_IDS, pose, seeds
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
 from persem_ros.config import Memory
 from persem_ros.core import jit
-from persem_ros.core.images import points
+from persem_ros.core.images import placed, points
+from persem_ros.core.observe import place
 from persem_ros.errors import PersemError
 from persem_ros.frames import Frame, pinhole
 import pytest
@@ -54,6 +55,12 @@ def test_random_frames(seed, h, w, stride, ignored, dynamic):
     settings = replace(Memory(), min_depth=0.5, max_depth=10.0, stride=stride,
                        ignore_labels=ignored, dynamic_labels=dynamic)
     assert counted(frame, settings) == expected(frame, settings)
+    # Placing pixels without their points is only a short cut.
+    frame = replace(frame, T_map_camera=pose(rng, 40.0))
+    for voxel_size, origin in ((0.5, (0.0, 0.0, 0.0)), (0.03, (7.0, -300.0, 0.1))):
+        keys, base = placed(frame, settings, voxel_size, origin)
+        those, its = place(points(frame, settings)[0], frame.T_map_camera, voxel_size, origin)
+        assert keys.tolist() == those.tolist() and base.tolist() == its.tolist()
 
 
 @given(seeds, st.integers(1, 6), st.integers(1, 6), st.integers(1, 5), st.integers(1, 5))

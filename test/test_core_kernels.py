@@ -17,7 +17,7 @@ from persem_ros.core.dump import dump, load
 from persem_ros.core.evict import keep_near
 from persem_ros.core.images import points
 from persem_ros.core.memory import VoxelMemory
-from persem_ros.core.observe import observe
+from persem_ros.core.observe import observe, place
 from persem_ros.core.refine import abandon, begin, label, refine
 from persem_ros.core.regions import regions
 from persem_ros.core.render import filled, render, voxel_image, voxel_image_of
@@ -52,7 +52,8 @@ for shape in ((4, 6), (240, 320), (2, 2)):
         seen = observe(placed, ids, frame.T_map_camera.astype(np.float32), 0.3, stamp=stamp)
         memory.add(seen)
         shown = voxel_image(memory, seen, depth.shape)
-        voxel_image_of(memory, placed, frame.T_map_camera, depth.shape)
+        voxel_image_of(
+            memory, *place(placed, frame.T_map_camera, memory.voxel_size), depth.shape)
         for method in METHODS:
             found, _ = label(memory, method, Refine())
             filled(render(shown, frozen(found)), labels, Memory())

@@ -10,7 +10,7 @@ from persem_ros.config import Memory
 from persem_ros.core import jit
 from persem_ros.core.images import points
 from persem_ros.core.memory import VoxelMemory
-from persem_ros.core.observe import observe
+from persem_ros.core.observe import observe, place
 from persem_ros.core.render import filled, nearest, render, voxel_image, voxel_image_of
 from persem_ros.frames import Frame, pinhole, UNKNOWN
 import pytest
@@ -55,7 +55,9 @@ def test_random_frames(seed, shape, stride, fill, dynamic, voxel_size):
     memory, frame, placed, seen = world(rng, shape, settings)
     labels = rng.choice(IDS, memory.n_voxels).astype(np.uint16)
     voxels = voxel_image(memory, seen, shape)
-    assert voxels.tolist() == voxel_image_of(memory, placed, frame.T_map_camera, shape).tolist()
+    unseen = voxel_image_of(
+        memory, *place(placed, frame.T_map_camera, memory.voxel_size, memory.origin), shape)
+    assert voxels.tolist() == unseen.tolist()
     image = filled(render(voxels, labels), frame.labels, settings, fill)
     assert image.dtype == np.int32
     assert image.reshape(-1).tolist() == ref.render(
@@ -105,7 +107,8 @@ def test_the_same_with_another_number_of_threads():
                 np.random.default_rng(1), shape, settings, frames=2)
             labels = np.arange(memory.n_voxels).astype(np.uint16)
             voxels = voxel_image(memory, seen, shape)
-            unseen = voxel_image_of(memory, placed, frame.T_map_camera, shape)
+            unseen = voxel_image_of(memory, *place(
+                placed, frame.T_map_camera, memory.voxel_size, memory.origin), shape)
             results.append((voxels.tobytes(), unseen.tobytes(),
                             render(voxels, labels).tobytes()))
     finally:

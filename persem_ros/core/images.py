@@ -3,6 +3,7 @@
 import numpy as np
 
 from persem_ros.core.jit import kernel, split
+from persem_ros.core.observe import key_of, placing
 from persem_ros.core.render import nearest
 from persem_ros.errors import PersemError
 from persem_ros.frames import IGNORED, MAX_ID
@@ -26,8 +27,29 @@ def points(frame, settings):
         The pixel's id; -1 where it does not count.
 
     """
-    labels = counted(resampled(frame.labels, frame.depth.shape), settings)
-    return backprojected(frame, settings), labels.reshape(-1)
+    return backprojected(frame, settings), counted_labels(frame, settings)
+
+
+def counted_labels(frame, settings):
+    """Return the labels alone, as in points()."""
+    return counted(resampled(frame.labels, frame.depth.shape), settings).reshape(-1)
+
+
+def placed(frame, settings, voxel_size, origin):
+    """
+    Return the voxels of a frame's pixels as (keys, base) of core.observe.place().
+
+    The same as place(backprojected(...)), without the points in between: that is a twelfth of
+    the time of integrating a frame.
+
+    """
+    depth = np.require(frame.depth, np.float64, 'CW')
+    rays = np.require(frame.camera.rays, np.float64, 'CW')
+    pose, base = placing(frame.T_map_camera, voxel_size, origin)
+    keys = np.empty(depth.shape, np.int64)
+    split(_place, depth.shape[0], depth, rays, float(settings.min_depth),
+          float(settings.max_depth), pose, base, float(voxel_size), keys, grain=64)
+    return keys.reshape(-1), base.astype(np.int64)
 
 
 def backprojected(frame, settings):
@@ -97,6 +119,17 @@ def _count(begin, end, labels, table, out):
         for u in range(labels.shape[1]):
             c = labels[v, u]
             out[v, u] = table[c] if 0 <= c <= MAX_ID else IGNORED
+
+
+@kernel
+def _place(begin, end, depth, rays, min_depth, max_depth, pose, base, voxel_size, keys):
+    """Write the key of each pixel's voxel in rows begin .. end."""
+    for v in range(begin, end):
+        for u in range(depth.shape[1]):
+            d = depth[v, u]
+            if not (min_depth <= d <= max_depth and d > 0.0):
+                d = np.nan
+            keys[v, u] = key_of(rays[v, u, 0] * d, rays[v, u, 1] * d, d, pose, base, voxel_size)
 
 
 @kernel

@@ -9,6 +9,7 @@ from persem_ros.errors import PersemError
 from persem_ros.frames import MAX_ID, UNKNOWN
 
 NOWHERE = np.int64(-1)      # key of a point without a place
+STRIPE = 21 + 4             # bit of a key: 16 voxels along y
 MIX = np.uint64(0x9E3779B97F4A7C15)     # Fibonacci hashing
 REACH = 1 << 20             # farthest voxel from the sensor's own, along each axis
 LIMIT = 2.0 ** 31 - 2.0 ** 21           # voxel indices are int32, with room for the reach
@@ -75,13 +76,20 @@ def observe(points, labels, T_map_sensor, voxel_size, min_pixels=1, origin=(0.0,
         Name of the sensor.
 
     """
+    return gather(*place(points, T_map_sensor, voxel_size, origin), labels, min_pixels, stamp,
+                  T_map_sensor, sensor)
+
+
+def gather(keys, base, labels, min_pixels, stamp, T_map_sensor, sensor):
+    """Return the Observations of placed points; parameters as in observe() and place()."""
     labels = np.require(labels, np.int32, 'CW').reshape(-1)
-    keys, base = place(points, T_map_sensor, voxel_size, origin)
     where = np.empty(len(keys), np.int32)
-    voxels, best, confidence, seen = group(keys, base, labels, int(min_pixels), where)
+    halves = sum(split(_halves, 2, keys, base, labels, int(min_pixels), where, grain=1), [])
+    voxels, best, confidence = (np.concatenate(parts) for parts in list(zip(*halves))[:3])
+    split(_join, len(where), len(halves[0][0]), where, grain=65536)
     return Observations(voxels, best, confidence, where,
-                        np.flatnonzero(seen).astype(np.uint16), int(stamp),
-                        np.array(T_map_sensor, np.float64), sensor)
+                        np.flatnonzero(halves[0][3] | halves[1][3]).astype(np.uint16),
+                        int(stamp), np.array(T_map_sensor, np.float64), sensor)
 
 
 def place(points, T_map_sensor, voxel_size, origin=(0.0, 0.0, 0.0)):
@@ -97,6 +105,22 @@ def place(points, T_map_sensor, voxel_size, origin=(0.0, 0.0, 0.0)):
 
     """
     points = np.require(points, np.float64, 'CW').reshape(-1, 3)
+    pose, base = placing(T_map_sensor, voxel_size, origin)
+    keys = np.empty(len(points), np.int64)
+    split(locate, len(points), points, pose, base, float(voxel_size), keys, grain=32768)
+    return keys, base.astype(np.int64)
+
+
+def placing(T_map_sensor, voxel_size, origin):
+    """
+    Return what key_of() needs: the pose as 9 + 3 numbers, and the sensor's own voxel, float64.
+
+    Raises
+    ------
+    PersemError
+        When the sensor is so far away that voxel indices would not fit 32 bits.
+
+    """
     T = np.asarray(T_map_sensor, np.float64)
     pose = np.concatenate([T[:3, :3].ravel(), T[:3, 3] - np.asarray(origin, np.float64)])
     base = np.floor(pose[9:] / voxel_size)
@@ -104,31 +128,32 @@ def place(points, T_map_sensor, voxel_size, origin=(0.0, 0.0, 0.0)):
         raise PersemError(
             f'position {T[:3, 3].tolist()} m is too far away for voxels of {voxel_size} m: '
             'expected finite coordinates near map.origin')
-    keys = np.empty(len(points), np.int64)
-    split(locate, len(points), points, pose, base, float(voxel_size), keys, grain=32768)
-    return keys, base.astype(np.int64)
+    return pose, base
 
 
 @kernel
 def locate(start, stop, points, pose, base, voxel_size, keys):
+    """Write the key of each point's voxel."""
+    for p in range(start, stop):
+        keys[p] = key_of(points[p, 0], points[p, 1], points[p, 2], pose, base, voxel_size)
+
+
+@inlined
+def key_of(x, y, z, pose, base, voxel_size):
     """
-    Write the voxel of each point, floor((R p + t) / voxel_size) per axis (spec section 1).
+    Return the voxel of a point, floor((R p + t) / voxel_size) per axis (spec section 1).
 
     Three indices relative to the sensor's own voxel in one integer, 21 bits each; NOWHERE for a
     point without a place (NaN, or a million voxels away).
 
     """
     reach = np.float64(REACH)
-    for p in range(start, stop):
-        x, y, z = points[p, 0], points[p, 1], points[p, 2]
-        i = np.floor((pose[0] * x + pose[1] * y + pose[2] * z + pose[9]) / voxel_size) - base[0]
-        j = np.floor((pose[3] * x + pose[4] * y + pose[5] * z + pose[10]) / voxel_size) - base[1]
-        k = np.floor((pose[6] * x + pose[7] * y + pose[8] * z + pose[11]) / voxel_size) - base[2]
-        if abs(i) < reach and abs(j) < reach and abs(k) < reach:    # false for NaN
-            keys[p] = (np.int64(i + reach) << 42) | (np.int64(j + reach) << 21) \
-                | np.int64(k + reach)
-        else:
-            keys[p] = NOWHERE
+    i = np.floor((pose[0] * x + pose[1] * y + pose[2] * z + pose[9]) / voxel_size) - base[0]
+    j = np.floor((pose[3] * x + pose[4] * y + pose[5] * z + pose[10]) / voxel_size) - base[1]
+    k = np.floor((pose[6] * x + pose[7] * y + pose[8] * z + pose[11]) / voxel_size) - base[2]
+    if abs(i) < reach and abs(j) < reach and abs(k) < reach:    # false for NaN
+        return (np.int64(i + reach) << 42) | (np.int64(j + reach) << 21) | np.int64(k + reach)
+    return NOWHERE
 
 
 # What is known of a voxel while a frame's points are counted: its place, its first id with the
@@ -137,17 +162,26 @@ TALLY = np.dtype([('key', 'i8'), ('id', 'i4'), ('count', 'i4'), ('more', 'i4'), 
 EXTRA = np.dtype([('id', 'i4'), ('count', 'i4'), ('more', 'i4')])
 
 
+def _halves(begin, end, *arguments):
+    """Return what group() returns for the halves begin .. end of the world."""
+    return [group(half, *arguments) for half in range(begin, end)]
+
+
 @kernel
-def group(keys, base, labels, min_pixels, where):
+def group(half, keys, base, labels, min_pixels, where):
     """
     Gather points by voxel and vote: the heart of observe().
+
+    The world is cut into stripes 16 voxels wide, which belong to half 0 and half 1 in turn, so
+    that two threads can work without a voxel in common. Half 0 writes the row of each of its
+    points to where, and -1 for points without a place; half 1 writes -2 - row.
 
     A point in the voxel of its predecessor needs no look-up: three in five of an image's. (Asking
     the pixel above, too, saves more look-ups and is a third slower: branches mispredict.)
 
     """
     bits = np.uint64(64 - 10)       # of a hash, to be shifted out: the table has 2 ** 10 places
-    while 3 << (64 - np.int64(bits)) < len(keys):
+    while 6 << (64 - np.int64(bits)) < len(keys):
         bits -= np.uint64(1)
     table = np.zeros(1 << (64 - np.int64(bits)), np.int32)
     tallies = np.empty(len(keys), TALLY)
@@ -158,7 +192,10 @@ def group(keys, base, labels, min_pixels, where):
     for p in range(len(keys)):
         key = keys[p]
         if key == NOWHERE:
-            where[p] = -1
+            if half == 0:
+                where[p] = -1
+            continue
+        if key >> STRIPE & 1 != half:
             continue
         if key == last_key:
             g = last
@@ -179,7 +216,7 @@ def group(keys, base, labels, min_pixels, where):
                     bits -= np.uint64(1)
                     table = _grown(table, bits, tallies, n)
             last, last_key = g, key
-        where[p] = g
+        where[p] = g if half == 0 else -2 - g
         c = labels[p]
         if c == tallies[g].id:
             if c >= 0:
@@ -216,6 +253,14 @@ def _count_extra(tallies, extras, n_extras, g, c):
     extras[n_extras].more = tallies[g].more
     tallies[g].more = n_extras
     return True
+
+
+@kernel
+def _join(begin, end, first, where):
+    """Give the rows of half 1 numbers after the *first* ones of half 0."""
+    for p in range(begin, end):
+        if where[p] < -1:
+            where[p] = first - 2 - where[p]
 
 
 @kernel

@@ -4,7 +4,7 @@ import numpy as np
 
 from persem_ros.core.blocks import find_block
 from persem_ros.core.jit import kernel, split
-from persem_ros.core.observe import NOWHERE, place, REACH
+from persem_ros.core.observe import NOWHERE, REACH
 from persem_ros.core.pools import SIDE
 from persem_ros.frames import UNKNOWN
 
@@ -22,9 +22,8 @@ def voxel_image(memory, observations, shape):
     return image.reshape(shape)
 
 
-def voxel_image_of(memory, points, T_map_sensor, shape):
-    """Return the same for points (N, 3) in the sensor frame that were not observed."""
-    keys, base = place(points, T_map_sensor, memory.voxel_size, memory.origin)
+def voxel_image_of(memory, keys, base, shape):
+    """Return the same for pixels that were placed (core.observe.place) and not observed."""
     image = np.empty(len(keys), np.int32)
     split(_find, len(keys), memory.m.blocks, memory.table, keys, base, image, grain=32768)
     return image.reshape(shape)

@@ -5,7 +5,7 @@ import numpy as np
 from persem_ros.config import Memory, METHODS, Refine
 from persem_ros.core.dump import dump, load
 from persem_ros.core.evict import keep_near
-from persem_ros.core.images import points
+from persem_ros.core.images import placed, points
 from persem_ros.core.jit import keep_memory
 from persem_ros.core.memory import VoxelMemory
 from persem_ros.core.observe import observe
@@ -31,8 +31,8 @@ def warm_up():
     depth = np.full((120, 160), 3.0)
     for k in range(20):
         frame = Frame(k, np.roll(labels, k), depth, camera)
-        placed, ids = points(frame, Memory())
-        seen = observe(placed, ids, frame.T_map_camera, memory.voxel_size, stamp=k)
+        seen_points, ids = points(frame, Memory())
+        seen = observe(seen_points, ids, frame.T_map_camera, memory.voxel_size, stamp=k)
         memory.add(seen)
     for method in METHODS:
         label(memory, method, Refine())
@@ -45,6 +45,7 @@ def warm_up():
     regions(memory)
     labelled = label(memory, 'majority', Refine())[0]
     render(voxel_image(memory, seen, depth.shape), labelled)
-    render(voxel_image_of(memory, placed, frame.T_map_camera, depth.shape), labelled)
+    pixels = placed(frame, Memory(), memory.voxel_size, memory.origin)
+    render(voxel_image_of(memory, *pixels, depth.shape), labelled)
     EmaImages(0.5).update(labels)
     keep_near(memory, (0.0, 0.0, 0.0), max_voxels=memory.n_voxels // 2)
