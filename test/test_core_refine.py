@@ -74,7 +74,7 @@ def test_close_votes(method):
 
 
 def margins_of(expected, method, settings):
-    """Return (setting, margin) of every candidate in the map: thresholds worth trying."""
+    """Return (voxel, setting, margin) of every candidate: thresholds worth trying."""
     found = []
     for voxel, history in expected.histories.items():
         if len(history) < settings.min_observations:
@@ -89,11 +89,11 @@ def margins_of(expected, method, settings):
             candidate = ref.proposal(expected, voxel, rho, settings)
             if candidate is not None:
                 e = ref.trusted_evidence(history, rho, settings)
-                found.append(('tau_replay', e[candidate] - e.get(majority, 0.0)))
+                found.append((voxel, 'tau_replay', e[candidate] - e.get(majority, 0.0)))
         if candidate not in (None, majority):
             hard, soft = ref.margins(expected, voxel, candidate, settings)
-            found.append(('tau_context', min(hard, soft)))      # the one that decides
-    return [(name, margin) for name, margin in found if margin > 1e-6]
+            found.append((voxel, 'tau_context', min(hard, soft)))       # the one that decides
+    return [one for one in found if one[2] > 1e-6]
 
 
 @pytest.mark.parametrize('method', ['trust', 'context', 'persem'])
@@ -106,12 +106,13 @@ def test_thresholds_that_lie_on_a_margin(method):
         memory, expected = core_of(frames), reference_of(frames)
         margins = margins_of(expected, method, settings)
         assume(margins)
-        name, margin = margins[choice % len(margins)]
+        voxel, name, margin = margins[choice % len(margins)]
         answers = []
         for shift in (-1e-6, 0.0, 1e-6):
             there = replace(settings, **{name: margin + shift})
-            answers.append(ref.label(expected, method, there))
-            assert labels_of(memory, method, there) == answers[-1]
+            wanted = ref.label(expected, method, there)
+            assert labels_of(memory, method, there) == wanted
+            answers.append(wanted[voxel])
         assert answers[1] == answers[2]     # hit exactly is not exceeded
         if method == 'context' or name == 'tau_replay' and method == 'trust':
             assert answers[0] != answers[1]
