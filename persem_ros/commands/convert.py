@@ -10,6 +10,7 @@ def add_parser(subparsers):
     kinds = parser.add_subparsers(metavar='KIND', required=True)
     _add_frames(kinds)
     _add_uavscenes(kinds)
+    _add_forest(kinds)
 
 
 def _add_frames(kinds):
@@ -98,6 +99,62 @@ def _add_uavscenes(kinds):
     parser.set_defaults(run=run_uavscenes)
 
 
+def _add_forest(kinds):
+    """Add persem convert forest."""
+    parser = kinds.add_parser(
+        'forest', help='a sequence of the Forest Inspection data set',
+        description='Reads a sequence of the synthetic part (labels/, color/, depth/, '
+                    "airsim_rec.txt) or of the real one, WildUAV (img/, depth/, metadata/). The "
+                    'label images are coded by colour. What the data set does not document is an '
+                    'option; the depth images are reprojected to see whether it fits.')
+    parser.add_argument('root', metavar='ROOT', help='the folder that holds the sequences')
+    parser.add_argument('run_name', metavar='SEQ', help='for example seq1')
+    parser.add_argument('out', metavar='OUT', help='the recording to write')
+    files = parser.add_argument_group('files, looked for where not given')
+    for what in ('labels', 'depth', 'color', 'pose'):
+        files.add_argument(f'--{what}', metavar='PATTERN', default='',
+                           help="path with one '*' below SEQ" +
+                           (', or a trajectory file' if what == 'pose' else ''))
+    files.add_argument('--predictions', metavar='DIR', default='',
+                       help='label images of a segmenter (ids or colours; default: the true '
+                            'labels are the input)')
+    meaning = parser.add_argument_group('what they mean')
+    meaning.add_argument('--depth-unit', metavar='UNIT', default='',
+                         help='m, cm, mm or units per metre (default: floats m, integers mm)')
+    meaning.add_argument('--depth-coding', choices=('plain', 'rgb24'), default='plain',
+                         help='rgb24: R + 256 G + 65536 B of 2^24 - 1, times 1000 m (default: '
+                              '%(default)s)')
+    meaning.add_argument('--depth-is', choices=('planar', 'ray'), default='planar',
+                         help='along the optical axis, or the distance (default: %(default)s)')
+    meaning.add_argument('--intrinsics', metavar='FILE', default='',
+                         help='matrix or fx,fy,cx,cy (default: of the metadata, else of --fov)')
+    meaning.add_argument('--fov', metavar='DEG', type=float, default=90.0,
+                         help='horizontal field of view (default: %(default)s, AirSim\'s)')
+    meaning.add_argument('--pose-is', choices=('camera-to-world', 'world-to-camera'),
+                         default='camera-to-world', help='what a pose maps (default: %(default)s)')
+    meaning.add_argument('--axes', choices=('opencv', 'opengl', 'ned'), default='',
+                         help="the camera's axes in the poses (default: ned, AirSim's; opencv "
+                              'for metadata)')
+    meaning.add_argument('--world', choices=('enu', 'ned'), default='',
+                         help="the world's axes (default: ned, AirSim's; enu for metadata)")
+    meaning.add_argument('--pitch', metavar='DEG', type=float, default=0.0,
+                         help="of the camera on the vehicle, whose pose airsim_rec.txt has: -90 "
+                              'is straight down (default: %(default)s)')
+    meaning.add_argument('--rate', metavar='HZ', type=float, default=10.0,
+                         help='where names are no stamps (default: %(default)s)')
+    meaning.add_argument('--start', metavar='S', type=float, default=1.0,
+                         help='stamp of number 0 (default: %(default)s)')
+    meaning.add_argument('--scale', type=float, default=1.0,
+                         help='resize all images, for example 0.25 (default: %(default)s)')
+    meaning.add_argument('--no-check', action='store_true',
+                         help='do not reproject depth images to check the axes')
+    meaning.add_argument('--legend', metavar='NAME', default='forest',
+                         help='ids of the colours; goes to /semantic/legend (default: '
+                              '%(default)s)')
+    _add_writing(parser)
+    parser.set_defaults(run=run_forest)
+
+
 def _add_writing(parser):
     """Add what all kinds share: the part to convert, and how to write it."""
     group = parser.add_argument_group('what to write')
@@ -134,6 +191,20 @@ def run_uavscenes(args):
         depth_invalid=_integers('--depth-invalid', args.depth_invalid), color=not args.no_color)
     summary = convert_uavscenes(args.root, args.run_name, args.out, options, _legend(args),
                                 storage=args.storage, compress=args.compress, force=args.force)
+    print(f'{args.out}: {summary}')
+
+
+def run_forest(args):
+    """Convert a sequence of Forest Inspection."""
+    from persem_ros.convert.forest import convert_forest, ForestOptions
+    options = ForestOptions(
+        **{name: getattr(args, name) for name in (
+            'labels', 'depth', 'color', 'pose', 'predictions', 'depth_unit', 'depth_coding',
+            'depth_is', 'intrinsics', 'fov', 'axes', 'world', 'pitch', 'rate', 'start', 'scale',
+            'frames', 'every')},
+        direction=args.pose_is, check=not args.no_check)
+    summary = convert_forest(args.root, args.run_name, args.out, options, _legend(args),
+                             storage=args.storage, compress=args.compress, force=args.force)
     print(f'{args.out}: {summary}')
 
 

@@ -1,0 +1,347 @@
+"""
+A sequence of Forest Inspection becomes a recording.
+
+The synthetic part (AirSim) and the real one (WildUAV). The data set documents colours of classes
+and little else: everything that is not documented is an option here, with a default.
+
+"""
+
+from dataclasses import dataclass
+import logging
+from pathlib import Path
+
+import numpy as np
+from persem_ros.convert import axes, forest_poses
+from persem_ros.convert.files import canonical, files_of, some
+from persem_ros.convert.images import (
+    metres, nearest, parse_unit, read_array, read_color, read_depth, read_labels, same_aspect,
+    scaled_K,
+)
+from persem_ros.convert.intrinsics import read_intrinsics
+from persem_ros.convert.poses import poses_from_files, poses_from_trajectory
+from persem_ros.convert.scene import chosen, report_dropped, SceneWriter
+from persem_ros.convert.stamps import number_of_name, stamps_from_names, stamps_from_rate
+from persem_ros.errors import PersemError
+from persem_ros.outputs.recording import RecordingWriter
+from tqdm import tqdm
+
+LOG = logging.getLogger(__name__)
+UNLABELLED = 255
+# What is looked for when no pattern is given: synthetic part first, then WildUAV.
+LAYOUTS = {'labels': ('labels/*.png', 'semantic/*.png', 'label/*.png'),
+           'depth': ('depth/*', 'depths/*'), 'color': ('color/*.png', 'img/*.png'),
+           'pose': ('airsim_rec.txt', 'poses.txt', 'groundtruth.txt', 'pose/*', 'poses/*',
+                    'metadata/*.json')}
+CODED_METRES = 1000.0       # of the largest 24-bit number, as CARLA packs depth
+
+
+@dataclass
+class ForestOptions:
+    """
+    How a sequence is to be read.
+
+    Attributes
+    ----------
+    labels, depth, color, pose : str
+        Patterns with one '*', or for pose a file; empty: looked for.
+    predictions : str
+        Folder of a segmenter's label images, ids or the data set's colours; empty: the true
+        labels are the input.
+    depth_unit : str
+        m, cm, mm or units per metre; empty: floats m, integers mm.
+    depth_coding : str
+        plain, or rgb24: R + 256 G + 65536 B over 2^24 - 1, times a kilometre.
+    depth_is : str
+        planar (along the optical axis) or ray (from the camera's centre).
+    intrinsics : str
+        A file or fx,fy,cx,cy; empty: of the metadata, else from fov.
+    fov : float
+        Horizontal field of view, degrees.
+    direction, axes, world : str
+        Of the poses, see convert.axes; empty: AirSim's (ned, ned), or opencv and enu for
+        metadata.
+    pitch : float
+        Of the camera on the vehicle where poses come from airsim_rec.txt, degrees, up.
+    rate, start : float
+        Stamps where names are none: Hz, seconds.
+    scale : float
+        Factor on the images' size, up to 1.
+    check : bool
+        Whether depth images are reprojected to see that the axes fit.
+    frames, every : str, int
+        The part of the frames to convert.
+
+    """
+
+    labels: str = ''
+    depth: str = ''
+    color: str = ''
+    pose: str = ''
+    predictions: str = ''
+    depth_unit: str = ''
+    depth_coding: str = 'plain'
+    depth_is: str = 'planar'
+    intrinsics: str = ''
+    fov: float = 90.0
+    direction: str = 'camera-to-world'
+    axes: str = ''
+    world: str = ''
+    pitch: float = 0.0
+    rate: float = 10.0
+    start: float = 1.0
+    scale: float = 1.0
+    check: bool = True
+    frames: str = ''
+    every: int = 1
+
+
+def convert_forest(root, name, path, options=None, legend=None, **writing):
+    """
+    Convert one sequence.
+
+    Parameters
+    ----------
+    root : str or Path
+        The folder that holds the sequences.
+    name : str
+        The sequence, for example seq1.
+    path : str or Path
+        The recording to write.
+    options : ForestOptions, optional
+    legend : Legend
+        Its colours are those of the label images.
+    **writing
+        storage, compress and force of RecordingWriter.
+
+    Returns
+    -------
+    str
+        One line that says what was written.
+
+    Raises
+    ------
+    PersemError
+        When something is missing, does not fit together or cannot be read.
+
+    """
+    options = options or ForestOptions()
+    if not 0 < options.scale <= 1:
+        raise PersemError(f'--scale {options.scale:g}: expected more than 0 and at most 1')
+    if not 1 <= options.fov <= 170:
+        raise PersemError(f'--fov {options.fov:g}: expected 1 to 170 degrees')
+    writer = RecordingWriter(path, **writing)       # refuse now, not after the reading
+    sequence = Sequence(folder_of(root, name), options, legend)
+    if options.check:
+        sequence.check_axes()
+    with writer as out:
+        scene = SceneWriter(out, legend, ((sequence.stamps[k], sequence.pose(k))
+                                          for k in sequence.keys))
+        for key in tqdm(sequence.keys, unit='frame', disable=None):
+            sequence.write(scene, key)
+        return scene.finish()
+
+
+def folder_of(root, name):
+    """Return a sequence's folder, which the archives may hold twice (seq1/seq1)."""
+    for folder in (Path(root) / name / name, Path(root) / name):
+        if folder.is_dir():
+            return folder
+    there = sorted(p.name for p in Path(root).iterdir() if p.is_dir()) \
+        if Path(root).is_dir() else []
+    raise PersemError(f'{Path(root) / name}: no such folder'
+                      + (f'; there are {some(there, 12)}' if there else ''))
+
+
+class Sequence:
+    """The files of one sequence that belong together."""
+
+    def __init__(self, folder, options, legend):
+        self.options, self.legend = options, legend
+        found = {what: self._files(folder, what) for what in ('labels', 'depth', 'color')}
+        self.inputs = files_of(Path(options.predictions), '*') if options.predictions \
+            else found['labels']
+        if not options.predictions:
+            LOG.warning('no --predictions: the true labels are the label input')
+        self.poses, self.matrices, self.airsim = self._poses(folder, list(self.inputs))
+        self.truth, self.depth, self.color = (_partners(self.inputs, found[what])
+                                              for what in ('labels', 'depth', 'color'))
+        self.stamps = stamps_from_names(self.inputs) or stamps_from_rate(
+            list(self.inputs), options.rate, options.start)
+        if options.depth_coding not in ('plain', 'rgb24'):
+            raise PersemError(f'--depth-coding {options.depth_coding}: expected plain or rgb24')
+        dropped = {'without depth': [k for k in self.inputs if k not in self.depth],
+                   'without a pose': [k for k in self.inputs if k in self.depth and
+                                      forest_poses.pose_of_image(self.poses, k) is None]}
+        left = [k for k in self.inputs if not any(k in keys for keys in dropped.values())]
+        if not left:
+            raise PersemError(
+                f'{folder}: no frame is complete: {len(self.inputs)} label images '
+                f'({some(self.inputs)}), {len(found["depth"])} depth files, '
+                f'{len(self.poses.by_key)} poses; the names must match')
+        report_dropped(dropped)
+        self.keys = chosen(sorted(left, key=self.stamps.get), options.frames, options.every)
+
+    def pose(self, key):
+        """Return T_map_camera of a frame."""
+        world = self.options.world or ('ned' if self.airsim else 'enu')
+        return axes.optical_pose(forest_poses.pose_of_image(self.poses, key),
+                                 self.options.direction, self.axes, world)
+
+    @property
+    def axes(self):
+        """The camera's axes in the poses."""
+        return self.options.axes or ('ned' if self.airsim else 'opencv')
+
+    def write(self, scene, key):
+        """Write the images of one frame."""
+        depth = self.read_depth(key)
+        size = _scaled((depth.shape[1], depth.shape[0]), self.options.scale)
+        K = self.K(key, size)
+        stamp = self.stamps[key]
+        labels = nearest(self.ids(self.inputs[key], size), size)
+        scene.labels(stamp, labels, 'mono8' if labels.dtype == np.uint8 else 'mono16')
+        if key in self.truth:
+            truth = nearest(self.ids(self.truth[key], size), size)
+            scene.truth(stamp, truth, 'mono8' if truth.dtype == np.uint8 else 'mono16')
+        scene.depth(stamp, nearest(depth, size), '32FC1', K)
+        if key in self.color:
+            scene.color(stamp, *read_color(self.color[key], size))
+
+    def K(self, key, size):
+        """Return the pinhole matrix of a frame for images of *size* (width, height)."""
+        if self.options.intrinsics:
+            text = self.options.intrinsics
+            found = read_intrinsics(text if text.count(',') == 3 else Path(text))
+            full = found.size or self._full(key)
+            return scaled_K(found.K, full, size)
+        if key in self.matrices:
+            return scaled_K(self.matrices[key], self._full(key), size)
+        return forest_poses.fov_matrix(*size, self.options.fov)
+
+    def ids(self, path, size):
+        """Return a label file as ids: those that it has, or those of its colours."""
+        array = read_array(path)
+        if not same_aspect((array.shape[1], array.shape[0]), size):
+            raise PersemError(f'{path}: {array.shape[1]}x{array.shape[0]}, but depth is '
+                              f'{size[0]}x{size[1]}; expected one aspect ratio')
+        if array.ndim == 2:
+            ids = read_labels(path)[0]
+            if ids.min() < 0 or ids.max() > 65535:
+                raise PersemError(f'{path}: expected ids from 0 to 65535')
+            return ids.astype(np.uint8 if ids.max() < 256 else np.uint16)
+        return ids_of_colors(array[..., 2::-1], self.legend, path)
+
+    def read_depth(self, key):
+        """Return the depth of a frame, (h, w) float32, metres along the axis; 0: none."""
+        path = self.depth[key]
+        if self.options.depth_coding == 'rgb24':
+            array = read_array(path)
+            if array.ndim != 3 or array.dtype != np.uint8:
+                raise PersemError(f'{path}: --depth-coding rgb24 needs an 8-bit colour image')
+            b, g, r = (array[..., k].astype(np.float64) for k in range(3))
+            depth = (r + 256 * g + 65536 * b) / (2**24 - 1) * CODED_METRES
+        else:
+            depth = metres(*read_depth(path, parse_unit(self.options.depth_unit or None)))
+        if self.options.depth_is == 'ray':
+            height, width = depth.shape
+            K = self.K(key, (width, height))
+            x = (np.arange(width) - K[0, 2]) / K[0, 0]
+            y = (np.arange(height) - K[1, 2]) / K[1, 1]
+            depth = depth / np.sqrt(1 + x[None, :] ** 2 + y[:, None] ** 2)
+        return depth.astype(np.float32)
+
+    def check_axes(self):
+        """Reproject some depth images under every convention and say what fits."""
+        need = sorted({i for pair in axes.pairs_to_check(len(self.keys)) for i in pair})
+        depths = {i: self.read_depth(self.keys[i]).astype(np.float64) for i in need}
+        if not depths:
+            return
+        places = {i: forest_poses.pose_of_image(self.poses, self.keys[i]) for i in need}
+        shape = next(iter(depths.values())).shape
+        axes.judge(axes.compare_conventions(
+            depths, places, self.K(self.keys[0], shape[::-1])), self.options.direction, self.axes)
+
+    def _files(self, folder, what):
+        """Return {key: path} of a pattern that was given, or of the first usual one."""
+        given = getattr(self.options, what)
+        for pattern in [given] if given else LAYOUTS[what]:
+            found = files_of(folder, pattern)
+            if found:
+                return found
+        if what == 'color' and not given:
+            return {}
+        if what == 'labels' and self.options.predictions:
+            return {}
+        raise PersemError(f'{folder}: no {what} files like {given or " or ".join(LAYOUTS[what])}; '
+                          f"name them with --{what} 'PATTERN'")
+
+    def _poses(self, folder, keys):
+        """Return (Poses, {key: K}, whether they are AirSim's)."""
+        given = self.options.pose
+        for pattern in [given] if given else LAYOUTS['pose']:
+            path = folder / pattern
+            if path.is_file() and forest_poses.is_airsim(path):
+                return forest_poses.airsim_poses(path, self.options.pitch), {}, True
+            if path.is_file():
+                poses = poses_from_trajectory(path, keys, False)
+                return poses, {}, True
+            found = files_of(folder, pattern) if '*' in pattern or path.is_dir() else {}
+            if found and all(p.suffix == '.json' for p in found.values()):
+                return *forest_poses.metadata_poses(found), False
+            if found:
+                return poses_from_files(found), {}, True
+        raise PersemError(f'{folder}: no poses like {given or " or ".join(LAYOUTS["pose"])}; name '
+                          'them with --pose FILE or PATTERN')
+
+    def _full(self, key):
+        """Return the (width, height) of the images that the intrinsics belong to."""
+        array = read_array(self.color.get(key) or self.depth[key])
+        return array.shape[1], array.shape[0]
+
+
+def ids_of_colors(rgb, legend, where):
+    """
+    Return the ids of a label image in the legend's colours.
+
+    Parameters
+    ----------
+    rgb : ndarray, shape (H, W, 3), uint8
+    legend : Legend
+    where : str or Path
+        For messages.
+
+    Returns
+    -------
+    ndarray, shape (H, W), uint8
+        255 for colours that the legend does not have; a tenth of such pixels is refused.
+
+    """
+    key = rgb[..., 0].astype(np.int32) << 16 | rgb[..., 1].astype(np.int32) << 8 | rgb[..., 2]
+    table = {r << 16 | g << 8 | b: c.id for c in reversed(legend.classes) if c.id < UNLABELLED
+             for r, g, b in [c.color]}
+    values, places = np.unique(key, return_inverse=True)
+    found = np.array([table.get(int(v), UNLABELLED) for v in values], np.uint8)
+    ids = found[places.reshape(key.shape)]
+    strange = np.count_nonzero(ids == UNLABELLED)
+    if 10 * strange > ids.size:
+        worst = max((v for v, c in zip(values, found) if c == UNLABELLED),
+                    key=lambda v: np.count_nonzero(key == v))
+        raise PersemError(f'{where}: {100 * strange / ids.size:.0f} % of the pixels have colours '
+                          f'that the legend does not have, most of them ({worst >> 16}, '
+                          f'{worst >> 8 & 255}, {worst & 255}); give another with --legend')
+    return ids
+
+
+def _partners(keys, files):
+    """Return {key: path} of files with the same name, or else with the same number in it."""
+    names = {canonical(other): path for other, path in files.items()}
+    result = {key: names[canonical(key)] for key in keys if canonical(key) in names}
+    if result:
+        return result
+    numbers = {number_of_name(other): path for other, path in files.items()}
+    return {key: numbers[number_of_name(key)] for key in keys
+            if number_of_name(key) is not None and number_of_name(key) in numbers}
+
+
+def _scaled(size, scale):
+    return max(1, round(size[0] * scale)), max(1, round(size[1] * scale))
