@@ -32,7 +32,8 @@ setup(
         'embreex>=2.17.7; sys_platform != "linux" or platform_machine == "x86_64"',
     ],
     extras_require={
-        'test': ['hypothesis>=6.100', 'pytest>=8', 'scikit-learn>=1.4', 'setuptools>=70.1'],
+        'test': ['distributed>=2024.1', 'hypothesis>=6.100', 'matplotlib>=3.7', 'pytest>=8',
+                 'scikit-learn>=1.4', 'setuptools>=70.1'],
         'lint': ['flake8>=7', 'flake8-blind-except', 'flake8-builtins', 'flake8-class-newline',
                  'flake8-comprehensions', 'flake8-deprecated', 'flake8-docstrings',
                  'flake8-import-order', 'flake8-quotes', 'pydocstyle'],
