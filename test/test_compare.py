@@ -1,12 +1,11 @@
 """Comparing two results: what differs is said, drawn, and as sure as it is."""
 
-import pytest
-import worlds
-
 from persem_ros import cli
 from persem_ros.config import Config, updated
 from persem_ros.evaluate import run
 from persem_ros.evaluate.compare import compare
+import pytest
+import worlds
 
 
 @pytest.fixture(scope='module')

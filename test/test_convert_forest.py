@@ -4,15 +4,14 @@ import json
 
 import cv2
 import numpy as np
-import pytest
-
 from persem_ros import cli
 from persem_ros.config import Config, updated
 from persem_ros.convert.forest import ids_of_colors
-from persem_ros.convert.forest_poses import metadata_poses
+from persem_ros.convert.forest_poses import AIRSIM, metadata_poses
 from persem_ros.errors import PersemError
 from persem_ros.inputs.recording import Recording
 from persem_ros.legend import load_legend
+import pytest
 
 WIDTH, HEIGHT, HIGH = 32, 24, 30.0
 LEGEND = load_legend('forest')
@@ -27,11 +26,11 @@ def ground(i):
 
 
 def write_synthetic(root, depth=None, frames=4, doubled=False, turn=0.0):
-    """Write seq3: straight down from 30 m, flying north a metre an image, as AirSim records; turn: degrees."""
+    """Write seq3: 30 m above ground, north a metre and *turn* degrees an image, as AirSim."""
     folder = root / 'seq3' / 'seq3' if doubled else root / 'seq3'
     for name in ('color', 'labels', 'depth'):
         (folder / name).mkdir(parents=True)
-    lines = ['VehicleName\tTimeStamp\tPOS_X\tPOS_Y\tPOS_Z\tQ_W\tQ_X\tQ_Y\tQ_Z\tImageFile']
+    lines = ['\t'.join(('VehicleName', 'TimeStamp', *AIRSIM))]
     for i in range(frames):
         colors = LEGEND.colors(ground(i))
         cv2.imwrite(str(folder / 'labels' / f'img_{i}.png'), colors[..., ::-1])
@@ -42,8 +41,8 @@ def write_synthetic(root, depth=None, frames=4, doubled=False, turn=0.0):
         else:
             cv2.imwrite(str(folder / 'depth' / f'img_{i}.png'), depth(array))
         half = np.radians(turn * i) / 2
-        lines.append(f'drone\t{i}\t{i}.0\t5.0\t{-HIGH}\t{np.cos(half)}\t0.0\t0.0\t{np.sin(half)}'
-                     f'\timg_{i}.png')
+        numbers = i, float(i), 5.0, -HIGH, np.cos(half), 0.0, 0.0, np.sin(half)
+        lines.append('\t'.join(['drone', *map(str, numbers), f'img_{i}.png']))
     (folder / 'airsim_rec.txt').write_text('\n'.join(lines) + '\n')
     return folder
 

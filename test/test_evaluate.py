@@ -8,9 +8,6 @@ import re
 
 from hypothesis import given, settings as examples, strategies as st
 import numpy as np
-import pytest
-import worlds
-
 from persem_ros import cli
 from persem_ros.config import Config, updated
 from persem_ros.core.regions import regions
@@ -27,11 +24,14 @@ from persem_ros.legend import Legend
 from persem_ros.outputs.metrics import Metrics
 from persem_ros.pipeline import Pipeline
 from persem_ros.rendering import Renderer
+import pytest
+import worlds
 
 SETTINGS = {'memory.voxel_size': 0.2, 'memory.dynamic_labels': (worlds.MOVING,)}
 LEGEND = ('title: small\nclasses:\n- {id: 1, name: one, group: a}\n'
           '- {id: 3, name: three, group: a}\n- {id: 7, name: seven, group: b}\n'
-          '- {id: 9, name: mover, group: b, dynamic: true}\n- {id: 255, name: nothing, ignored: true}\n')
+          '- {id: 9, name: mover, group: b, dynamic: true}\n'
+          '- {id: 255, name: nothing, ignored: true}\n')
 
 
 def config(**values):

@@ -3,13 +3,12 @@
 from html.parser import HTMLParser
 
 import cv2
-import pytest
-import worlds
-
 from persem_ros import cli
 from persem_ros.config import Config
-from persem_ros.evaluate import drawing, page, run
 from persem_ros.errors import PersemError
+from persem_ros.evaluate import drawing, page, run
+import pytest
+import worlds
 
 pytest.importorskip('matplotlib')
 NASTY = ('classes:\n- {id: 1, name: "<b>one</b>"}\n- {id: 3, name: "$x_3$"}\n'

@@ -8,14 +8,13 @@ import threading
 import time
 
 import numpy as np
-import pytest
-import worlds
-
 from persem_ros import cli
 from persem_ros.config import Config
 from persem_ros.errors import PersemError
 from persem_ros.evaluate import jobs
 from persem_ros.evaluate.sequence import Task
+import pytest
+import worlds
 
 
 @pytest.fixture(scope='module')

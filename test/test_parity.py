@@ -4,17 +4,16 @@ import os
 from pathlib import Path
 
 import numpy as np
-import pytest
-import reference
-from sklearn.metrics import accuracy_score, confusion_matrix, jaccard_score
-import worlds
-
 from persem_ros.config import Config, updated
 from persem_ros.core.regions import REGIONS, regions
 from persem_ros.evaluate.sequence import ALL_METHODS, evaluate_sequence, Task
 from persem_ros.inputs.recording import Recording
 from persem_ros.pipeline import Pipeline
 from persem_ros.rendering import Renderer
+import pytest
+import reference
+from sklearn.metrics import accuracy_score, confusion_matrix, jaccard_score
+import worlds
 
 # A recording of a real flight, with truth, for those who have one.
 REAL = os.environ.get('PERSEM_TEST_RECORDING', '')

@@ -3,15 +3,14 @@
 import json
 import logging
 
-import pytest
-import worlds
-
 from persem_ros import cli
 from persem_ros.config import Config, updated
 from persem_ros.errors import PersemError
 from persem_ros.evaluate.sequence import evaluate_sequence, Task
 from persem_ros.evaluate.stream import Disturbance
 from persem_ros.evaluate.sweep import parse_vary, sweep
+import pytest
+import worlds
 
 
 @pytest.fixture(scope='module')

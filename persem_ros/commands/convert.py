@@ -104,7 +104,7 @@ def _add_forest(kinds):
     parser = kinds.add_parser(
         'forest', help='a sequence of the Forest Inspection data set',
         description='Reads a sequence of the synthetic part (labels/, color/, depth/, '
-                    "airsim_rec.txt) or of the real one, WildUAV (img/, depth/, metadata/). The "
+                    'airsim_rec.txt) or of the real one, WildUAV (img/, depth/, metadata/). The '
                     'label images are coded by colour. What the data set does not document is an '
                     'option; the depth images are reprojected to see whether it fits.')
     parser.add_argument('root', metavar='ROOT', help='the folder that holds the sequences')
@@ -129,7 +129,7 @@ def _add_forest(kinds):
     meaning.add_argument('--intrinsics', metavar='FILE', default='',
                          help='matrix or fx,fy,cx,cy (default: of the metadata, else of --fov)')
     meaning.add_argument('--fov', metavar='DEG', type=float, default=90.0,
-                         help='horizontal field of view (default: %(default)s, AirSim\'s)')
+                         help="horizontal field of view (default: %(default)s, AirSim's)")
     meaning.add_argument('--pose-is', choices=('camera-to-world', 'world-to-camera'),
                          default='camera-to-world', help='what a pose maps (default: %(default)s)')
     meaning.add_argument('--axes', choices=('opencv', 'opengl', 'ned'), default='',
@@ -138,7 +138,7 @@ def _add_forest(kinds):
     meaning.add_argument('--world', choices=('enu', 'ned'), default='',
                          help="the world's axes (default: ned, AirSim's; enu for metadata)")
     meaning.add_argument('--pitch', metavar='DEG', type=float, default=0.0,
-                         help="of the camera on the vehicle, whose pose airsim_rec.txt has: -90 "
+                         help='of the camera on the vehicle, whose pose airsim_rec.txt has: -90 '
                               'is straight down (default: %(default)s)')
     meaning.add_argument('--rate', metavar='HZ', type=float, default=10.0,
                          help='where names are no stamps (default: %(default)s)')

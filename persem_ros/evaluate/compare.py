@@ -9,7 +9,7 @@ from persem_ros.config import nearest
 from persem_ros.errors import PersemError
 from persem_ros.evaluate import manifest, table
 from persem_ros.evaluate.combine import BLOCK_ARRAYS
-from persem_ros.evaluate.intervals import COVERED, RESAMPLES, resampled
+from persem_ros.evaluate.intervals import COVERED, resampled, RESAMPLES
 from persem_ros.evaluate.measures import BETTER, MEASURES, number
 from persem_ros.evaluate.tables import NAMES
 from persem_ros.outputs.files import write_text

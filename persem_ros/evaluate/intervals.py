@@ -11,7 +11,7 @@ frames were looked at, not from which flight was flown.
 import numpy as np
 
 from persem_ros.evaluate.counting import PLACES
-from persem_ros.evaluate.measures import MEASURES, measure, number
+from persem_ros.evaluate.measures import measure, MEASURES, number
 
 RESAMPLES = 2000
 COVERED = 95.0          # percent

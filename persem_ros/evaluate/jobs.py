@@ -10,10 +10,9 @@ import signal
 import sys
 import threading
 
-from tqdm import tqdm
-
 from persem_ros.errors import PersemError
 from persem_ros.evaluate import sequence
+from tqdm import tqdm
 
 WORKER_BYTES = 1.5e9        # free memory that a worker should find
 _done = None                # frames that all workers have read, in shared memory

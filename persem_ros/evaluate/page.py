@@ -55,7 +55,7 @@ def check():
     try:
         import matplotlib       # noqa: F401 - only whether it is there
     except ImportError as error:
-        raise PersemError(f"figures need matplotlib ({error}); install it with: pip install "
+        raise PersemError(f'figures need matplotlib ({error}); install it with: pip install '
                           "'persem_ros[evaluate]', or leave them out with --no-figures") from None
 
 

@@ -10,8 +10,8 @@ from persem_ros.config import nearest
 from persem_ros.errors import PersemError
 from persem_ros.evaluate import combine, jobs, manifest, page, table
 from persem_ros.evaluate.sequence import ALL_METHODS, Task
-from persem_ros.evaluate.taxonomy import taxonomy
 from persem_ros.evaluate.tables import tables
+from persem_ros.evaluate.taxonomy import taxonomy
 from persem_ros.inputs.recording import Recording
 from persem_ros.legend import Legend
 from persem_ros.outputs import rundir
@@ -72,8 +72,7 @@ def evaluate(recordings, out, config, methods=ALL_METHODS, labels='', grouped=Fa
     warn(results)
     evaluation = {**combine.combined(results), 'versions': rundir.versions(),
                   'hardware': rundir.hardware(),
-                  'settings': {name: value for name, value in request_of(
-                      next(iter(tasks.values())))['settings'].items()}}
+                  'settings': request_of(next(iter(tasks.values())))['settings']}
     write_text(folder / 'config.yaml', config_file.to_yaml(config))
     write(folder, evaluation)
     if figures:

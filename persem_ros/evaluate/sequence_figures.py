@@ -104,8 +104,8 @@ def confusion(summary, arrays):
         axes.set_yticks(range(len(rows)), [names[c] for c in rows])
         if share.size <= CELLS:
             for (y, x), value in np.ndenumerate(share):
-                axes.text(x, y, f'{value:.0f}' if value >= 0.5 else '', ha='center', va='center', fontsize=8,
-                          color='black' if value > 60 else 'white')
+                axes.text(x, y, f'{value:.0f}' if value >= 0.5 else '', ha='center',
+                          va='center', fontsize=8, color='black' if value > 60 else 'white')
     return figure
 
 
@@ -118,7 +118,8 @@ def top(arrays, legend):
     axes = figure.subplots(2, 2, sharex=True, sharey=True).ravel()
     colors = np.array([PALE, *SOURCE_COLORS[1:]], np.uint8)
     source = colors[cv2.dilate(arrays['top/source'], np.ones((3, 3), np.uint8))]
-    views = [('label', painted(label, legend)), ('source', np.where(known[..., None], source, 255))]
+    views = [('label', painted(label, legend)),
+             ('source', np.where(known[..., None], source, 255))]
     for a, (title, image) in zip(axes, views):
         a.imshow(image, extent=extent, interpolation='nearest')
         a.set_title(title)

@@ -102,7 +102,7 @@ def _series(result, value):
 
 
 def _positions(values):
-    """Return places on the x axis, texts for them (None: numbers) and whether it is logarithmic."""
+    """Return places on the x axis, texts for them (None: numbers), whether it is logarithmic."""
     if not all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in values):
         return list(range(len(values))), [str(v) for v in values], False
     log = min(values) > 0 and max(values) / min(values) > FROM_LOG
