@@ -6,7 +6,7 @@ import threading
 END = object()
 
 
-def read_ahead(items, depth=3):
+def read_ahead(items, depth=2):
     """
     Yield *items*, up to *depth* of which are made in advance by a thread.
 
@@ -48,7 +48,7 @@ class WriteBehind:
 
     """
 
-    def __init__(self, depth=4):
+    def __init__(self, depth=2):
         self._calls = queue.Queue(depth)
         self._error = None
         self._thread = threading.Thread(target=self._work, name='write behind', daemon=True)

@@ -1,6 +1,6 @@
 """Rendering a frame by several methods at once, on the same voxels and the same pixels."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,7 +10,6 @@ from persem_ros.core.refine import label
 from persem_ros.core.render import filled, render
 from persem_ros.core.smoothing import EmaImages
 from persem_ros.outputs.metrics import valid_pixels
-from persem_ros.frames import UNKNOWN
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,15 +56,18 @@ class Renderer:
 
     def __init__(self, pipeline, methods):
         self.pipeline, self.methods = pipeline, tuple(methods)
-        self._labels = {}
+        self._labels = {}       # method -> labels of its own, by voxel number
+        self._gathered = {}     # method -> labels of all voxels of today
+        self._gathered_at = None
         self._smoothers = {}
 
     def relabel(self):
-        """Label the map anew by every method that needs it."""
+        """Label the map anew by every method that needs it; call it after each refinement."""
         config = self.pipeline.config
         for method in self.methods:
             if method not in IMAGE_METHODS + ('majority', config.refine.method):
                 self._labels[method] = label(self.pipeline.memory, method, config.refine)[0]
+        self._gathered_at = None
 
     def render(self, frame, observations=None):
         """Return the Rendering of a frame; observations save placing its pixels again."""
@@ -73,6 +75,8 @@ class Renderer:
         voxels = self.pipeline.voxel_image(frame, observations)
         labels = resampled(frame.labels, frame.depth.shape)
         truth = None if frame.truth is None else resampled(frame.truth, frame.depth.shape)
+        own = render(voxels, self._of(config.refine.method))
+        moving = _any_of(labels, config.memory.dynamic_labels)
         images = {}
         for method in self.methods:
             if method == 'raw2d':
@@ -80,9 +84,11 @@ class Renderer:
             elif method == 'ema2d':
                 images[method] = self._smoothed(frame.sensor, labels).astype(np.int32)
             else:
-                images[method] = filled(render(voxels, self._of(method)), labels, config.memory,
-                                        'unknown', UNKNOWN)
-        own = render(voxels, self._of(config.refine.method))
+                image = own if method == config.refine.method else \
+                    render(voxels, self._of(method))
+                images[method] = image.astype(np.int32)
+                if moving is not None:
+                    np.copyto(images[method], labels, where=moving)
         published = filled(own, frame.labels, config.memory, config.render.fill,
                            self.pipeline.unknown)
         valid = valid_pixels(labels, frame.depth, config.memory.ignore_labels,
@@ -90,16 +96,27 @@ class Renderer:
         return Rendering(images, voxels, labels, truth, valid, published)
 
     def _of(self, method):
-        """Return the labels (voxels,) uint16 of a voxel method, by voxel number."""
+        """
+        Return the labels (voxels,) uint16 of a voxel method, by voxel number.
+
+        Gathered from the voxels' records anew where the map has changed: 0.5 ms for 300 000 of
+        them, which a replay that renders from the finished map pays once.
+
+        """
         memory = self.pipeline.memory
-        records = memory.m.voxels[:memory.n_numbers]
-        if method == self.pipeline.config.refine.method:
-            return np.ascontiguousarray(records['label'])
-        majority = np.ascontiguousarray(records['majority'])
-        older = self._labels.get(method)
-        if older is not None:       # voxels newer than the labelling follow the majority
-            majority[:len(older)] = older
-        return majority
+        if self._gathered_at != memory.n_observations:
+            self._gathered, self._gathered_at = {}, memory.n_observations
+        if method not in self._gathered:
+            records = memory.m.voxels[:memory.n_numbers]
+            if method == self.pipeline.config.refine.method:
+                found = np.ascontiguousarray(records['label'])
+            else:
+                found = np.ascontiguousarray(records['majority'])
+                older = self._labels.get(method)
+                if older is not None:   # voxels newer than the labelling follow the majority
+                    found[:len(older)] = older
+            self._gathered[method] = found
+        return self._gathered[method]
 
     def _smoothed(self, sensor, labels):
         """Return the labels of ema2d; ignored pixels leave the state as it is."""
@@ -111,5 +128,10 @@ class Renderer:
 
 def _without_stride(settings):
     """Return the settings that say which ids count, for whole images."""
-    from dataclasses import replace
     return replace(settings, stride=1, dynamic_labels=(-1,))
+
+
+def _any_of(labels, ids):
+    """Return the mask of the labels that are among *ids*, None where no id can be."""
+    ids = [c for c in ids if c >= 0]
+    return np.logical_or.reduce([labels == c for c in ids]) if ids else None

@@ -4,7 +4,6 @@ from contextlib import ExitStack
 
 import numpy as np
 
-from persem_ros.frames import UNKNOWN
 from persem_ros.outputs.recording import RecordingWriter
 
 TYPES = {'mono8': np.uint8, '8UC1': np.uint8, 'mono16': np.uint16, '16UC1': np.uint16,
@@ -50,7 +49,7 @@ class RefinedWriter:
             image = fitted(labels, frame.encoding)
             self._out.image(f'{base}/labels', frame.stamp, frame.frame_id, image, frame.encoding)
             self._out.image(f'{base}/labels_color', frame.stamp, frame.frame_id,
-                            self._legend.colors(np.where(labels < 0, UNKNOWN, labels)), 'rgb8')
+                            self._legend.colors(image), 'rgb8')
 
     def map(self, points, stamp):       # noqa: A003
         """Write the map's points, latched."""
@@ -68,5 +67,5 @@ def fitted(labels, encoding):
     pixel = np.dtype(TYPES[encoding])
     limit = np.iinfo(pixel).max
     if pixel.kind == 'u':
-        labels = np.where(labels < 0, limit, labels)
+        labels = labels.view(np.uint32)     # a negative id is a huge one
     return np.minimum(labels, limit).astype(pixel)
