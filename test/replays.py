@@ -117,7 +117,7 @@ class Expected:
         rows = ref.resampled(rows, *f.labels.shape)
         fill = self.config.render.fill == 'input'
         return [[int(own) if own in self.dynamic or (c == UNKNOWN and fill)
-                 else ignored[0] if c == UNKNOWN else c
+                 else (*ignored, UNKNOWN)[0] if c == UNKNOWN else c
                  for c, own in zip(row, line)] for row, line in zip(rows, f.labels)]
 
     def _counts(self, c):
