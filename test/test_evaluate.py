@@ -9,12 +9,12 @@ import re
 from hypothesis import given, settings as examples, strategies as st
 import numpy as np
 from persem_ros import cli
-from persem_ros.config import Config, updated
+from persem_ros.config import Config, METHODS, updated
 from persem_ros.core.regions import regions
 from persem_ros.errors import PersemError
 from persem_ros.evaluate import combine, intervals, manifest, run
 from persem_ros.evaluate.kinds import kinds_of
-from persem_ros.evaluate.sequence import ALL_METHODS, evaluate_sequence, Task
+from persem_ros.evaluate.sequence import ALL_METHODS, evaluate_sequence, Sequence, Task
 from persem_ros.evaluate.stream import Disturbance
 from persem_ros.evaluate.table import comma_separated, console, latex, markdown
 from persem_ros.evaluate.tables import tables
@@ -25,6 +25,7 @@ from persem_ros.outputs.metrics import Metrics
 from persem_ros.pipeline import Pipeline
 from persem_ros.rendering import Renderer
 import pytest
+import reference
 import worlds
 
 SETTINGS = {'memory.voxel_size': 0.2, 'memory.dynamic_labels': (worlds.MOVING,)}
@@ -88,8 +89,8 @@ def test_equals_the_replays_metrics(tmp_path, grouped, dynamic, labels, with_tru
 
 
 def test_other_settings_and_more_classes_than_room(tmp_path, monkeypatch):
-    from persem_ros.evaluate import counting
-    monkeypatch.setattr(counting.Counts.__init__, '__defaults__', (2,))
+    from persem_ros.evaluate import counts
+    monkeypatch.setattr(counts.Counts.__init__, '__defaults__', (2,))
     path = worlds.write(tmp_path / 'r')
     other = config(memory__stride=2, refine__neighbours=6, refine__method='trust',
                    memory__max_depth=2.08)
@@ -288,3 +289,23 @@ def test_tables_are_whole(recording):
         assert len({len(row) for row in rows}) == 1 and len(rows) == 1 + len(table.rows)
         assert len(console(table).splitlines()) >= 3 + len(table.rows)
         assert 'flicker' in console(table).lower()
+
+
+def test_methods_against_the_reference(recording):
+    config_ = config()
+    sequence = Sequence(Task(str(recording), config_), Recording(recording, config_))
+    with sequence.recording:
+        sequence.integrate()
+        sequence.label()
+        plain = reference.Memory()
+        for frame in sequence.recording.frames():
+            points, labels = reference.backproject(
+                frame.depth.tolist(), frame.camera.rays.tolist(), frame.labels.tolist(),
+                config_.memory.ignore_labels, config_.memory.dynamic_labels)
+            plain.add(reference.observe(points, labels, frame.T_map_camera.tolist(), 0.2),
+                      frame.stamp, labels)
+    memory = sequence.pipeline.memory
+    for method in METHODS:
+        found = sequence.labels_of(method)
+        for voxel, (label, _) in reference.label(plain, method, config_.refine).items():
+            assert found[memory.number(voxel)] == label, (method, voxel)

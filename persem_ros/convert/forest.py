@@ -108,6 +108,7 @@ def convert_forest(root, name, path, options=None, legend=None, **writing):
     path : str or Path
         The recording to write.
     options : ForestOptions, optional
+        How to read it.
     legend : Legend
         Its colours are those of the label images.
     **writing
@@ -306,7 +307,9 @@ def ids_of_colors(rgb, legend, where):
     Parameters
     ----------
     rgb : ndarray, shape (H, W, 3), uint8
+        The image.
     legend : Legend
+        Ids and colours.
     where : str or Path
         For messages.
 

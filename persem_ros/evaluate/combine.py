@@ -3,7 +3,7 @@
 import numpy as np
 
 from persem_ros.evaluate import intervals
-from persem_ros.evaluate.counting import PLACES
+from persem_ros.evaluate.counts import PLACES
 from persem_ros.evaluate.measures import MEASURES
 
 BASES = ('majority', 'raw2d', 'context_history')    # what methods are compared with

@@ -3,98 +3,8 @@
 import numpy as np
 
 from persem_ros.core.jit import kernel
-from persem_ros.core.regions import REGIONS
+from persem_ros.evaluate.counts import Block, Counts
 from persem_ros.frames import UNKNOWN
-from persem_ros.outputs.tally import CODES, codes_of, EVERYWHERE
-
-PLACES = (EVERYWHERE, *REGIONS)     # where is measured; the order of all arrays by region
-ROOM = 16                           # classes at first; doubled when there are more
-
-
-class Classes:
-    """
-    The counted classes: small numbers for ids, after a taxonomy has been applied.
-
-    Parameters
-    ----------
-    table : mapping of int to int, or None
-        Many-to-one taxonomy; None: every id stands for itself.
-
-    Attributes
-    ----------
-    index : ndarray, shape (65536,), uint16
-        Class of each id; 0: not counted, or not met yet.
-    ids : list of int
-        The id that each class stands for; UNKNOWN for class 0.
-    outside : ndarray, shape (65536,), int64
-        Pixels of true ids outside the taxonomy.
-
-    """
-
-    def __init__(self, table=None):
-        self.table = table
-        self.index = np.zeros(UNKNOWN + 1, np.uint16)
-        self.ids = [UNKNOWN]
-        self.outside = np.zeros(UNKNOWN + 1, np.int64)
-        self._met = np.zeros(UNKNOWN + 1, np.uint8)
-        self._met[UNKNOWN] = 1
-
-    def meet(self, image):
-        """Give new ids of an array of int32 or uint16 a class; return whether there were any."""
-        new = np.zeros(UNKNOWN + 1, np.uint8)
-        if not mark(np.ascontiguousarray(image).reshape(-1), self._met, new):
-            return False
-        for c in np.flatnonzero(new):
-            self._met[c] = 1
-            target = int(c) if self.table is None else self.table.get(int(c))
-            if target is not None:
-                if target not in self.ids:
-                    self.ids.append(target)
-                self.index[c] = self.ids.index(target)
-        return True
-
-    def __len__(self):
-        """Return the number of classes, the unknown one included."""
-        return len(self.ids)
-
-
-class Counts:
-    """
-    What all measures are made of, for methods on voxels and on images together.
-
-    Parameters
-    ----------
-    methods : int
-        Number of methods, those on images first.
-    images : int
-        Number of methods on images.
-
-    Attributes
-    ----------
-    matrix : ndarray, shape (methods, CODES, classes, classes), int64
-        Pixels by method, region code, true and predicted class.
-    changed : ndarray, shape (methods + 1, CODES), int64
-        Pixels whose label changed; the last row is the truth's.
-    pairs, true_pairs, pixels : ndarray, shape (CODES,), int64
-        Pixels that were compared, whose truth was compared, that were valid.
-
-    """
-
-    def __init__(self, methods, images, classes=ROOM):
-        self.methods, self.n_images, self.size = methods, images, classes
-        self.clear()
-
-    def clear(self):
-        """Begin anew."""
-        self.matrix = np.zeros((self.methods, CODES, self.size, self.size), np.int64)
-        self.changed = np.zeros((self.methods + 1, CODES), np.int64)
-        self.pairs, self.true_pairs, self.pixels = np.zeros((3, CODES), np.int64)
-
-    def grow(self, size):
-        """Make room for more classes."""
-        old, self.size = self.matrix, size
-        self.matrix = np.zeros((self.methods, CODES, size, size), np.int64)
-        self.matrix[:, :, :old.shape[2], :old.shape[3]] = old
 
 
 class Counter:
@@ -139,6 +49,7 @@ class Counter:
         voxels : ndarray, shape (h, w), int32
             Voxel numbers; -1: none.
         truth : ndarray, shape (h, w), int32, optional
+            True labels.
         images : sequence of ndarray, shape (h, w), integers
             Labels of the methods on images.
         sensor : str
@@ -204,54 +115,6 @@ class Counter:
             rows = np.zeros((len(self.rows), size), np.int64)
             rows[:, :self.rows.shape[1]] = self.rows
             self.rows = rows
-
-
-class Block:
-    """
-    Counts by region of PLACES instead of by code.
-
-    Attributes
-    ----------
-    hits, predicted : ndarray, shape (places, methods, classes), int64
-        Pixels that were right and that were predicted, by class.
-    true : ndarray, shape (places, classes), int64
-        Pixels by true class.
-    changed : ndarray, shape (places, methods + 1), int64
-    pairs, true_pairs, pixels : ndarray, shape (places,), int64
-    matrix : ndarray, shape (methods, classes, classes), int64
-        Everywhere, by true and predicted class.
-
-    """
-
-    FIELDS = ('hits', 'predicted', 'true', 'changed', 'pairs', 'true_pairs', 'pixels')
-
-    def __init__(self, **arrays):
-        self.__dict__.update(arrays)
-
-    @classmethod
-    def of(cls, counts):
-        """Return the Block of Counts."""
-        codes = [codes_of(place) for place in PLACES]
-        places = np.stack([counts.matrix[:, c].sum(1) for c in codes])
-        return cls(hits=np.einsum('pmcc->pmc', places).copy(), predicted=places.sum(2),
-                   true=places[:, 0].sum(2), matrix=places[0],
-                   changed=np.stack([counts.changed[:, c].sum(1) for c in codes]),
-                   **{name: np.array([getattr(counts, name)[c].sum() for c in codes])
-                      for name in ('pairs', 'true_pairs', 'pixels')})
-
-
-@kernel
-def mark(image, met, new):
-    """Mark the ids of an image that were not met; return whether there are any."""
-    found, last = False, np.int64(-1)
-    for p in range(len(image)):
-        c = np.int64(image[p])
-        if c != last and 0 <= c < len(met):
-            last = c
-            if met[c] == 0:
-                new[c] = 1
-                found = True
-    return found
 
 
 @kernel

@@ -3,7 +3,7 @@
 import numpy as np
 
 from persem_ros.evaluate.combine import mean
-from persem_ros.evaluate.counting import PLACES
+from persem_ros.evaluate.counts import PLACES
 from persem_ros.evaluate.drawing import INK, lighter, new_figure, SOFT, STYLES, WORDS
 from persem_ros.evaluate.measures import BETTER, MEASURES
 from persem_ros.evaluate.tables import PLACE_NAMES

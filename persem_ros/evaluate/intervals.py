@@ -10,7 +10,7 @@ frames were looked at, not from which flight was flown.
 
 import numpy as np
 
-from persem_ros.evaluate.counting import PLACES
+from persem_ros.evaluate.counts import PLACES
 from persem_ros.evaluate.measures import measure, MEASURES, number
 
 RESAMPLES = 2000
@@ -26,9 +26,11 @@ def resampled(blocks, seed=0, resamples=RESAMPLES):
     Parameters
     ----------
     blocks : dict of str to ndarray
-        counting.Block's arrays with the blocks as first axis.
+        counts.Block's arrays with the blocks as first axis.
     seed : int
         Of the draws.
+    resamples : int
+        Number of draws.
 
     Returns
     -------
@@ -59,8 +61,11 @@ def differences(sequences, methods, base, resamples=RESAMPLES):
     sequences : sequence of dict
         The blocks of each sequence.
     methods : sequence of str
+        In the order of the arrays.
     base : str
         One of them.
+    resamples : int
+        Number of draws.
 
     Returns
     -------

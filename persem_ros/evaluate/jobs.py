@@ -25,6 +25,7 @@ def results(tasks, workers=0, scheduler='', frames=None):
     Parameters
     ----------
     tasks : sequence of sequence.Task
+        The work.
     workers : int
         Processes; 0: one per core, as many as the memory allows. One works in this process,
         with all threads; several have one thread each.

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from persem_ros.evaluate.counting import PLACES
+from persem_ros.evaluate.counts import PLACES
 
 MEASURES = ('pixel_accuracy', 'miou', 'flicker')
 BETTER = {'pixel_accuracy': 1, 'miou': 1, 'flicker': -1}
@@ -47,8 +47,9 @@ def summary(blocks, methods, ids):
     Parameters
     ----------
     blocks : dict of str to ndarray
-        counting.Block's arrays with the blocks as first axis.
+        counts.Block's arrays with the blocks as first axis.
     methods : sequence of str
+        In the order of the arrays.
     ids : sequence of int
         The id that each class stands for.
 

@@ -24,6 +24,7 @@ def write(folder, evaluation, results):
     Parameters
     ----------
     folder : Path
+        Of the evaluation.
     evaluation : dict
         combine.combined, with versions, hardware and settings.
     results : dict

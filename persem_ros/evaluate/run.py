@@ -29,9 +29,11 @@ def evaluate(recordings, out, config, methods=ALL_METHODS, labels='', grouped=Fa
     Parameters
     ----------
     recordings : sequence of str or Path
+        With the same settings for all.
     out : str or Path
         The folder of the results.
     config : persem_ros.config.Config
+        All settings.
     methods : sequence of str
         Some of ALL_METHODS.
     labels, grouped, dynamic

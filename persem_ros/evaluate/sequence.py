@@ -13,7 +13,9 @@ from persem_ros.core.refine import labelled
 from persem_ros.core.regions import regions
 from persem_ros.core.smoothing import EmaImages
 from persem_ros.core.warmup import warm_up
-from persem_ros.evaluate.counting import Block, Classes, Counter
+from persem_ros.evaluate.classes import Classes
+from persem_ros.evaluate.counting import Counter
+from persem_ros.evaluate.counts import Block
 from persem_ros.evaluate.kinds import kinds_of
 from persem_ros.evaluate.measures import summary
 from persem_ros.evaluate.peak import PeakMemory
@@ -71,6 +73,7 @@ def evaluate_sequence(task, tick=None):
     Parameters
     ----------
     task : Task
+        What is wanted.
     tick : callable, optional
         Called after each frame of both readings.
 

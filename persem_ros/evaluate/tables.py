@@ -1,7 +1,7 @@
 """The tables of an evaluation, in the form of the paper's."""
 
 from persem_ros.evaluate.combine import mean
-from persem_ros.evaluate.counting import PLACES
+from persem_ros.evaluate.counts import PLACES
 from persem_ros.evaluate.measures import BETTER, MEASURES
 from persem_ros.evaluate.table import Cell, Column, marked, Table
 
