@@ -9,7 +9,7 @@ from persem_ros.config import settings
 from persem_ros.errors import PersemError
 from persem_ros.evaluate import table
 from persem_ros.evaluate.tables import tables
-from persem_ros.legend import Legend, LegendClass
+from persem_ros.legend import Legend
 from persem_ros.outputs.files import write_text
 from persem_ros.outputs.report import page
 from persem_ros.outputs.report.png import data_uri
@@ -87,9 +87,8 @@ def environment():
 
 
 def legend_of(summary):
-    """Return the names and colours of a sequence's classes as a Legend."""
-    return Legend(summary['name'], tuple(
-        LegendClass(c['id'], c['name'], tuple(c['color'])) for c in summary['classes']))
+    """Return the Legend that names and colours a sequence's classes."""
+    return Legend.from_yaml(summary['legend']) if summary['legend'] else Legend()
 
 
 def figure(name, caption, images):

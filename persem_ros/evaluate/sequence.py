@@ -206,7 +206,7 @@ class Sequence:
             'classes': [{'id': int(i), 'name': self.taxonomy.legend.name(i),
                          'color': list(self.taxonomy.legend.color(i))}
                         for i in ids[1:]],
-            'notes': list(self.recording.notes),
+            'legend': self.taxonomy.legend.to_yaml(), 'notes': list(self.recording.notes),
             'runtime': {
                 'history_s': seconds['history'],
                 'refinement_s': {m: seconds[f'label {m}'] + seconds['snapshot']

@@ -146,8 +146,8 @@ def painted(image, legend):
 
 def _key(figure, ids, legend):
     """Draw the legend of class colours below a figure."""
-    handles = [Patch(color=np.array(legend.color(i)) / 255, label=legend.name(i))
-               for i in sorted(ids) if i != UNKNOWN]
+    found = {legend.name(i): legend.color(i) for i in sorted(ids) if i != UNKNOWN}
+    handles = [Patch(color=np.array(color) / 255, label=name) for name, color in found.items()]
     if handles:
         figure.legend(handles=handles, loc='outside lower center', fontsize=8,
                       ncols=min(len(handles), 8))

@@ -1,6 +1,6 @@
 """Taxonomies: which ids count, and which count as one, from a legend (spec section 6)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from persem_ros.legend import Legend, load_legend
 
@@ -53,7 +53,7 @@ def taxonomy(labels='', grouped=False, dynamic=True, legend=None):
     else:
         table = {i: i for i in kept}
     names = Legend(legend.title, tuple(
-        type(c)(c.id, c.group, c.color, c.group, c.ignored, c.dynamic)
+        replace(c, name=c.group, color=kept[table[c.id]].color)
         if grouped and c.id in kept else c for c in legend.classes))
     parts = [legend.title or labels, 'grouped' if grouped else 'single classes',
              '' if dynamic else 'without dynamic ones']
