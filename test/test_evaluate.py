@@ -61,10 +61,12 @@ def recording(tmp_path_factory):
     return worlds.write(tmp_path_factory.mktemp('recordings') / 'wall')
 
 
-@pytest.mark.parametrize('grouped, dynamic, labels', [
-    (False, True, ''), (True, True, LEGEND), (True, False, LEGEND), (False, False, LEGEND)])
-@pytest.mark.parametrize('with_truth', [True, False, lambda i: i % 3 != 1],
-                         ids=['truth', 'no truth', 'truth at another rate'])
+@pytest.mark.parametrize('grouped, dynamic, labels, with_truth', [
+    (False, True, '', True), (False, True, '', False), (False, True, '', lambda i: i % 3 != 1),
+    (True, True, LEGEND, True), (True, False, LEGEND, lambda i: i % 3 != 1),
+    (False, False, LEGEND, True), (True, True, LEGEND, False)],
+    ids=['plain', 'no truth', 'truth at another rate', 'grouped', 'grouped, without dynamic',
+         'without dynamic', 'grouped, no truth'])
 def test_equals_the_replays_metrics(tmp_path, grouped, dynamic, labels, with_truth):
     path = worlds.write(tmp_path / 'r', with_truth=with_truth)
     file = ''
@@ -86,6 +88,12 @@ def test_equals_the_replays_metrics(tmp_path, grouped, dynamic, labels, with_tru
         places = [arrays['ids'].tolist().index(i) for i in ids]
         assert (arrays['matrix'][m][np.ix_(places, places)] == matrix).all()
         assert arrays['matrix'][m].sum() == matrix.sum()
+
+
+def test_truth_of_another_size(tmp_path, recording):
+    large = worlds.write(tmp_path / 'wall', truth_scale=3)
+    one, two = (evaluate_sequence(Task(str(path), config()))[0] for path in (recording, large))
+    assert one['has_truth'] and {**one, 'runtime': 0} == {**two, 'runtime': 0}
 
 
 def test_other_settings_and_more_classes_than_room(tmp_path, monkeypatch):

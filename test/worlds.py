@@ -25,7 +25,7 @@ def labels(i, seed=0):
     return image
 
 
-def write(path, frames=12, seed=0, with_truth=True, legend=''):
+def write(path, frames=12, seed=0, with_truth=True, legend='', truth_scale=1):
     """Write a recording of *frames* frames; with_truth may be a function of the frame."""
     has = with_truth if callable(with_truth) else lambda i: with_truth
     rng = np.random.default_rng(seed)
@@ -39,7 +39,8 @@ def write(path, frames=12, seed=0, with_truth=True, legend=''):
             at = bags.stamp(i)
             out.camera_info('depth/camera_info', at, 'camera', bags.WIDTH, bags.HEIGHT, bags.K)
             if has(i):
-                out.image('semantic/truth', at, 'camera', truth(i), 'mono16')
+                image = truth(i).repeat(truth_scale, axis=0).repeat(truth_scale, axis=1)
+                out.image('semantic/truth', at, 'camera', image, 'mono16')
             out.image('depth/image', at, 'camera', depth, '32FC1')
             out.image('semantic/image', at, 'camera', labels(i, seed), 'mono16')
         out.pose('pose', bags.stamp(frames - 0.5), 'map', bags.pose(frames - 0.5))

@@ -134,7 +134,7 @@ def top(arrays, legend):
         a.set_aspect('equal')
         a.set_ylabel('y, m' if a in axes[::2] else '')
     axes[1].legend(handles=[Patch(color=c / 255, label=name) for name, c in zip(
-        SOURCES, colors)], fontsize=7, loc='best')
+        SOURCES, colors)], fontsize=7, loc='best', frameon=True)
     _key(figure, np.unique(label[known]).tolist(), legend)
     return figure
 

@@ -66,9 +66,11 @@ def marked(table, floor='(truth)'):
         known = [(row[k].value * column.better, i) for i, row in enumerate(rows)
                  if column.better and isinstance(row[k].value, (int, float))
                  and floor not in table.rows[i][0]]
-        for value, i in known:
-            if len(known) > 1 and round(value, column.digits) == \
-                    round(max(known)[0], column.digits):
+        rounded = [round(value, column.digits) for value, _ in known]
+        if len(set(rounded)) < 2:
+            continue
+        for value, (_, i) in zip(rounded, known):
+            if value == max(rounded):
                 cell = rows[i][k]
                 rows[i][k] = Cell(cell.value, cell.low, cell.high, True)
     return Table(table.key, table.title, table.head, table.columns,
