@@ -20,26 +20,35 @@ from persem_ros.outputs import files, recording, refined, rundir
 
 
 def main():
-    """Run all jobs."""
+    """Run all jobs, two at a time."""
     replay.compile_kernels()
-    json.dump([run(job) for job in json.load(sys.stdin)], sys.stdout)
+    jobs, results = json.load(sys.stdin), []
+    for i in range(0, len(jobs), 2):
+        results += [finish(*begun) for begun in [start(job) for job in jobs[i:i + 2]]]
+    json.dump(results, sys.stdout)
 
 
-def run(job):
-    """Fork a process for one job; return its exit status and what it wrote as errors."""
-    with tempfile.TemporaryFile() as errors, open(os.devnull, 'w') as nothing:
-        pid = os.fork()
-        if pid == 0:
-            os.dup2(errors.fileno(), 2)
-            os.dup2(nothing.fileno(), 1)
-            status = 99
-            try:
-                prepare(job)
-                status = cli.main(job['arguments'])
-                sys.stderr.flush()
-            finally:
-                os._exit(status)
-        status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+def start(job):
+    """Fork a process for one job; return its number and the file of its standard error."""
+    errors = tempfile.TemporaryFile()
+    pid = os.fork()
+    if pid == 0:
+        os.dup2(errors.fileno(), 2)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        status = 99
+        try:
+            prepare(job)
+            status = cli.main(job['arguments'])
+            sys.stderr.flush()
+        finally:
+            os._exit(status)
+    return pid, errors
+
+
+def finish(pid, errors):
+    """Wait for a process; return its exit status and what it wrote as errors."""
+    status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+    with errors:
         errors.seek(0)
         return status, errors.read().decode()
 
@@ -63,6 +72,7 @@ def at(phase, act):
             'opening': (replay, 'start_map', 1),
             'integrating': (replay.Replay, '_integrate', 6),
             'refining': (replay.Replay, '_refine', 1),
+            'naming': (recording.RecordingWriter, 'text', 1),       # of the legend
             'rendering': (rendering.Renderer, 'render', 6),
             'recording': (refined.RefinedWriter, 'frame', 6),       # in another thread
             'closing': (recording.RecordingWriter, '_move', 1),
@@ -75,10 +85,10 @@ def before(owner, name, act, when):
     """Have act() called before owner.name, where when(*arguments) says so."""
     original = getattr(owner, name)
 
-    def acting(*arguments):
+    def acting(*arguments, **options):
         if when(*arguments):
             act()
-        return original(*arguments)
+        return original(*arguments, **options)
 
     setattr(owner, name, acting)
 

@@ -30,7 +30,8 @@ def compiled():
 
 @pytest.fixture(scope='module')
 def recording(tmp_path_factory):
-    return worlds.write(tmp_path_factory.mktemp('recording') / 'wall')
+    legend = 'classes:\n' + ''.join(f'- {{id: {c}, name: c{c}}}\n' for c in (1, 3, 7, 9, 255))
+    return worlds.write(tmp_path_factory.mktemp('recording') / 'wall', legend=legend)
 
 
 @pytest.fixture
@@ -265,10 +266,12 @@ def test_a_file_system_that_takes_no_folders(persem, recording):
 PHASES = {
     'opening': set(), 'integrating': set(), 'refining': set(),
     'writing map.ply': {'config.yaml'}, 'writing map.persem': MAP - {'map.persem'},
-    'rendering': MAP, 'recording': MAP, 'closing': MAP, 'writing metrics.json': MAP | {'refined'},
+    'naming': MAP, 'rendering': MAP, 'recording': MAP, 'closing': MAP,
+    'writing metrics.json': MAP | {'refined'},
     'finishing': ALL - {'timing.json', 'report.html'},
     'writing report.html': ALL - {'report.html'}}
 CAUSAL = {'integrating': set(), 'closing': MAP}
+FORCE = {'refining': ALL, 'rendering': MAP}     # over the results of an earlier run
 # Where a file size in bytes stops a replay, and what lies there then.
 SIZES = {'config.yaml': (2000, set()), 'map.persem': (30_000, MAP - {'map.persem'}),
          'refined': (400_000, MAP)}
@@ -278,7 +281,7 @@ def jobs(recording, noise, folder):
     """Return {(kind, phase): job}; the folder of each is folder/kind-phase."""
     found = {}
     for kind, phases in (('SIGINT', PHASES), ('SIGKILL', PHASES), ('SIGINT-causal', CAUSAL),
-                         ('SIGKILL-causal', CAUSAL)):
+                         ('SIGKILL-causal', CAUSAL), ('SIGINT-force', FORCE)):
         for phase in phases:
             found[kind, phase] = {'phase': phase, 'signal': kind.partition('-')[0]}
     for name, (size, _) in SIZES.items():
@@ -288,9 +291,19 @@ def jobs(recording, noise, folder):
         bag = noise if (kind, phase) == ('full', 'refined') else recording
         job['arguments'] = ['replay', str(bag), '--out', str(out),
                             '--set=memory.voxel_size=0.2', '--set=memory.dynamic_labels=9',
-                            *(['--causal'] if 'causal' in kind else [])]
+                            *(['--causal'] if 'causal' in kind else []),
+                            *(['--force'] if 'force' in kind else [])]
+        if 'force' in kind:
+            write_results(out)
     return {key: {'phase': '', 'signal': '', 'file_size': 0, **job}
             for key, job in found.items()}
+
+
+def write_results(out):
+    """Write a folder as an earlier run may have left it."""
+    bad.written(out / 'refined', unchanged, frames=1)
+    for name in ALL - {'refined'}:
+        (out / name).write_text('of an earlier run')
 
 
 def noisy(path):
@@ -332,6 +345,15 @@ def test_interrupted(ended, kind, phase):
     assert left == (PHASES if kind == 'SIGINT' else CAUSAL)[phase]    # and no half file
     if left:
         replays.check_whole(out)
+
+
+@pytest.mark.parametrize('phase', FORCE)
+def test_interrupted_over_the_results_of_an_earlier_run(ended, phase):
+    status, errors, out = ended['SIGINT-force', phase]
+    assert (status, errors) == (130, 'persem: interrupted\n')
+    assert {p.name for p in out.iterdir()} == FORCE[phase]      # of one run, not of two
+    old = (out / 'map.ply').read_bytes() == b'of an earlier run'
+    assert old == (phase == 'refining')
 
 
 @pytest.mark.parametrize('kind, phase', [('SIGKILL', p) for p in PHASES]
