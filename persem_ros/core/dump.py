@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from persem_ros.core.append import add_evidence, count_classes, new_link, read_evidence, write
+from persem_ros.core.append import new_link, write
 from persem_ros.core.blocks import make_block, new_table
+from persem_ros.core.evidence import add_evidence, count_classes, read_evidence
 from persem_ros.core.fusion import link_of
 from persem_ros.core.jit import kernel
 from persem_ros.core.memory import FrameRecord, sort_order, VoxelMemory

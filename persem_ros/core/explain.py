@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from persem_ros.core.append import TIE
 from persem_ros.core.blocks import directions
+from persem_ros.core.evidence import TIE
 from persem_ros.core.selection import (
     CANDIDATE, CONTEXT, HISTORY, MAJORITY, METHODS, PROPOSED, TRUST, VERIFIED)
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from persem_ros.core.append import TIE
+from persem_ros.core.evidence import TIE
 from persem_ros.core.jit import inlined, kernel
 from persem_ros.core.pools import CHUNK
 

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from persem_ros.core.append import (
-    add_observations, read_evidence, release_links)
+from persem_ros.core.append import add_observations, release_links
 from persem_ros.core.blocks import find_voxels, list_voxels, new_table, rehash
+from persem_ros.core.evidence import read_evidence
 from persem_ros.core.jit import kernel, split
 from persem_ros.core.pools import (
     BLOCKS, CHUNK, FREE_VOXELS, OBSERVATIONS, Store, STORED, VOXELS)

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from persem_ros.core.append import TIE
 from persem_ros.core.blocks import directions, step
+from persem_ros.core.evidence import TIE
 from persem_ros.core.jit import kernel, split
 from persem_ros.core.snapshot import take
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from persem_ros.core.append import TIE
 from persem_ros.core.blocks import step
+from persem_ros.core.evidence import TIE
 from persem_ros.core.fusion import link_of, oldest, place_of, winner
 from persem_ros.core.jit import inlined, kernel
 from persem_ros.core.pools import CHUNK

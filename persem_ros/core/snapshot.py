@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from persem_ros.core.append import count_classes, read_evidence
+from persem_ros.core.evidence import count_classes, read_evidence
 from persem_ros.core.jit import kernel, split
 from persem_ros.core.pools import ROWS, SIDE
 

@@ -1,6 +1,6 @@
 """The trace of a voxel (core.explain) as text for people."""
 
-from persem_ros.core.append import TIE
+from persem_ros.core.evidence import TIE
 from persem_ros.outputs.cloud import SOURCES
 
 
