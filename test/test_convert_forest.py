@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from persem_ros import cli
 from persem_ros.config import Config, updated
-from persem_ros.convert.forest import ids_of_colors
+from persem_ros.convert.forest_colors import ids_of_colors
 from persem_ros.convert.forest_poses import AIRSIM, metadata_poses
 from persem_ros.errors import PersemError
 from persem_ros.inputs.recording import Recording

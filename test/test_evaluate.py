@@ -14,10 +14,11 @@ from persem_ros.core.regions import regions
 from persem_ros.errors import PersemError
 from persem_ros.evaluate import combine, intervals, manifest, run
 from persem_ros.evaluate.kinds import kinds_of
-from persem_ros.evaluate.sequence import ALL_METHODS, evaluate_sequence, Sequence, Task
+from persem_ros.evaluate.sequence import evaluate_sequence, Sequence
 from persem_ros.evaluate.stream import Disturbance
 from persem_ros.evaluate.table import comma_separated, console, latex, markdown
 from persem_ros.evaluate.tables import tables
+from persem_ros.evaluate.task import ALL_METHODS, Task
 from persem_ros.evaluate.taxonomy import taxonomy
 from persem_ros.inputs.recording import Recording
 from persem_ros.legend import Legend

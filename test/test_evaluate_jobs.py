@@ -2,6 +2,8 @@
 
 import json
 import multiprocessing
+import os
+from pathlib import Path
 import subprocess
 import sys
 import threading
@@ -12,7 +14,7 @@ from persem_ros import cli
 from persem_ros.config import Config
 from persem_ros.errors import PersemError
 from persem_ros.evaluate import jobs
-from persem_ros.evaluate.sequence import Task
+from persem_ros.evaluate.task import Task
 import pytest
 import worlds
 
@@ -92,7 +94,8 @@ def cluster(tmp_path):
     where = tmp_path / 'scheduler.json'
     command = [sys.executable, '-m', 'distributed.cli.dask_scheduler', '--host', '127.0.0.1',
                '--port', '0', '--no-dashboard', '--scheduler-file', str(where)]
-    processes = [subprocess.Popen(command, stderr=subprocess.DEVNULL, cwd=tmp_path)]
+    here = {**os.environ, 'PYTHONPATH': str(Path(__file__).resolve().parents[1])}
+    processes = [subprocess.Popen(command, stderr=subprocess.DEVNULL, cwd=tmp_path, env=here)]
     try:
         for _ in range(600):
             if where.exists() and where.stat().st_size:
@@ -102,7 +105,8 @@ def cluster(tmp_path):
             processes.append(subprocess.Popen(
                 [sys.executable, '-m', 'distributed.cli.dask_worker', '--scheduler-file',
                  str(where), '--nthreads', '1', '--no-dashboard', '--no-nanny',
-                 '--local-directory', str(tmp_path)], stderr=subprocess.DEVNULL, cwd=tmp_path))
+                 '--local-directory', str(tmp_path)], stderr=subprocess.DEVNULL, cwd=tmp_path,
+                env=here))
         yield json.loads(where.read_text())['address'], processes[1:]
     finally:
         for process in reversed(processes):

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 from persem_ros.config import Config, updated
 from persem_ros.core.regions import REGIONS, regions
-from persem_ros.evaluate.sequence import ALL_METHODS, evaluate_sequence, Task
+from persem_ros.evaluate.sequence import evaluate_sequence
+from persem_ros.evaluate.task import ALL_METHODS, Task
 from persem_ros.inputs.recording import Recording
 from persem_ros.pipeline import Pipeline
 from persem_ros.rendering import Renderer

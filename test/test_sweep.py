@@ -6,9 +6,10 @@ import logging
 from persem_ros import cli
 from persem_ros.config import Config, updated
 from persem_ros.errors import PersemError
-from persem_ros.evaluate.sequence import evaluate_sequence, Task
+from persem_ros.evaluate.sequence import evaluate_sequence
 from persem_ros.evaluate.stream import Disturbance
 from persem_ros.evaluate.sweep import parse_vary, sweep
+from persem_ros.evaluate.task import Task
 import pytest
 import worlds
 

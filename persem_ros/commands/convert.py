@@ -196,7 +196,8 @@ def run_uavscenes(args):
 
 def run_forest(args):
     """Convert a sequence of Forest Inspection."""
-    from persem_ros.convert.forest import convert_forest, ForestOptions
+    from persem_ros.convert.forest import convert_forest
+    from persem_ros.convert.forest_layout import ForestOptions
     options = ForestOptions(
         **{name: getattr(args, name) for name in (
             'labels', 'depth', 'color', 'pose', 'predictions', 'depth_unit', 'depth_coding',

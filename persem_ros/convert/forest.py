@@ -6,93 +6,29 @@ and little else: everything that is not documented is an option here, with a def
 
 """
 
-from dataclasses import dataclass
 import logging
 from pathlib import Path
 
 import numpy as np
 from persem_ros.convert import axes, forest_poses
-from persem_ros.convert.files import canonical, files_of, some
+from persem_ros.convert.files import files_of, some
+from persem_ros.convert.forest_colors import ids_of_colors
+from persem_ros.convert.forest_layout import (
+    find, find_poses, folder_of, ForestOptions, partners,
+)
 from persem_ros.convert.images import (
     metres, nearest, parse_unit, read_array, read_color, read_depth, read_labels, same_aspect,
     scaled_K,
 )
 from persem_ros.convert.intrinsics import read_intrinsics
-from persem_ros.convert.poses import poses_from_files, poses_from_trajectory
 from persem_ros.convert.scene import chosen, report_dropped, SceneWriter
-from persem_ros.convert.stamps import number_of_name, stamps_from_names, stamps_from_rate
+from persem_ros.convert.stamps import stamps_from_names, stamps_from_rate
 from persem_ros.errors import PersemError
 from persem_ros.outputs.recording import RecordingWriter
 from tqdm import tqdm
 
 LOG = logging.getLogger(__name__)
-UNLABELLED = 255
-# What is looked for when no pattern is given: synthetic part first, then WildUAV.
-LAYOUTS = {'labels': ('labels/*.png', 'semantic/*.png', 'label/*.png'),
-           'depth': ('depth/*', 'depths/*'), 'color': ('color/*.png', 'img/*.png'),
-           'pose': ('airsim_rec.txt', 'poses.txt', 'groundtruth.txt', 'pose/*', 'poses/*',
-                    'metadata/*.json')}
 CODED_METRES = 1000.0       # of the largest 24-bit number, as CARLA packs depth
-
-
-@dataclass
-class ForestOptions:
-    """
-    How a sequence is to be read.
-
-    Attributes
-    ----------
-    labels, depth, color, pose : str
-        Patterns with one '*', or for pose a file; empty: looked for.
-    predictions : str
-        Folder of a segmenter's label images, ids or the data set's colours; empty: the true
-        labels are the input.
-    depth_unit : str
-        m, cm, mm or units per metre; empty: floats m, integers mm.
-    depth_coding : str
-        plain, or rgb24: R + 256 G + 65536 B over 2^24 - 1, times a kilometre.
-    depth_is : str
-        planar (along the optical axis) or ray (from the camera's centre).
-    intrinsics : str
-        A file or fx,fy,cx,cy; empty: of the metadata, else from fov.
-    fov : float
-        Horizontal field of view, degrees.
-    direction, axes, world : str
-        Of the poses, see convert.axes; empty: AirSim's (ned, ned), or opencv and enu for
-        metadata.
-    pitch : float
-        Of the camera on the vehicle where poses come from airsim_rec.txt, degrees, up.
-    rate, start : float
-        Stamps where names are none: Hz, seconds.
-    scale : float
-        Factor on the images' size, up to 1.
-    check : bool
-        Whether depth images are reprojected to see that the axes fit.
-    frames, every : str, int
-        The part of the frames to convert.
-
-    """
-
-    labels: str = ''
-    depth: str = ''
-    color: str = ''
-    pose: str = ''
-    predictions: str = ''
-    depth_unit: str = ''
-    depth_coding: str = 'plain'
-    depth_is: str = 'planar'
-    intrinsics: str = ''
-    fov: float = 90.0
-    direction: str = 'camera-to-world'
-    axes: str = ''
-    world: str = ''
-    pitch: float = 0.0
-    rate: float = 10.0
-    start: float = 1.0
-    scale: float = 1.0
-    check: bool = True
-    frames: str = ''
-    every: int = 1
 
 
 def convert_forest(root, name, path, options=None, legend=None, **writing):
@@ -142,29 +78,21 @@ def convert_forest(root, name, path, options=None, legend=None, **writing):
         return scene.finish()
 
 
-def folder_of(root, name):
-    """Return a sequence's folder, which the archives may hold twice (seq1/seq1)."""
-    for folder in (Path(root) / name / name, Path(root) / name):
-        if folder.is_dir():
-            return folder
-    there = sorted(p.name for p in Path(root).iterdir() if p.is_dir()) \
-        if Path(root).is_dir() else []
-    raise PersemError(f'{Path(root) / name}: no such folder'
-                      + (f'; there are {some(there, 12)}' if there else ''))
-
-
 class Sequence:
     """The files of one sequence that belong together."""
 
     def __init__(self, folder, options, legend):
         self.options, self.legend = options, legend
-        found = {what: self._files(folder, what) for what in ('labels', 'depth', 'color')}
+        found = {'labels': find(folder, 'labels', options.labels, bool(options.predictions)),
+                 'depth': find(folder, 'depth', options.depth),
+                 'color': find(folder, 'color', options.color, True)}
         self.inputs = files_of(Path(options.predictions), '*') if options.predictions \
             else found['labels']
         if not options.predictions:
             LOG.warning('no --predictions: the true labels are the label input')
-        self.poses, self.matrices, self.airsim = self._poses(folder, list(self.inputs))
-        self.truth, self.depth, self.color = (_partners(self.inputs, found[what])
+        self.poses, self.matrices, self.airsim = find_poses(
+            folder, options.pose, list(self.inputs), options.pitch)
+        self.truth, self.depth, self.color = (partners(self.inputs, found[what])
                                               for what in ('labels', 'depth', 'color'))
         self.stamps = stamps_from_names(self.inputs) or stamps_from_rate(
             list(self.inputs), options.rate, options.start)
@@ -262,88 +190,10 @@ class Sequence:
         axes.judge(axes.compare_conventions(
             depths, places, self.K(self.keys[0], shape[::-1])), self.options.direction, self.axes)
 
-    def _files(self, folder, what):
-        """Return {key: path} of a pattern that was given, or of the first usual one."""
-        given = getattr(self.options, what)
-        for pattern in [given] if given else LAYOUTS[what]:
-            found = files_of(folder, pattern)
-            if found:
-                return found
-        if what == 'color' and not given:
-            return {}
-        if what == 'labels' and self.options.predictions:
-            return {}
-        raise PersemError(f'{folder}: no {what} files like {given or " or ".join(LAYOUTS[what])}; '
-                          f"name them with --{what} 'PATTERN'")
-
-    def _poses(self, folder, keys):
-        """Return (Poses, {key: K}, whether they are AirSim's)."""
-        given = self.options.pose
-        for pattern in [given] if given else LAYOUTS['pose']:
-            path = folder / pattern
-            if path.is_file() and forest_poses.is_airsim(path):
-                return forest_poses.airsim_poses(path, self.options.pitch), {}, True
-            if path.is_file():
-                poses = poses_from_trajectory(path, keys, False)
-                return poses, {}, True
-            found = files_of(folder, pattern) if '*' in pattern or path.is_dir() else {}
-            if found and all(p.suffix == '.json' for p in found.values()):
-                return *forest_poses.metadata_poses(found), False
-            if found:
-                return poses_from_files(found), {}, True
-        raise PersemError(f'{folder}: no poses like {given or " or ".join(LAYOUTS["pose"])}; name '
-                          'them with --pose FILE or PATTERN')
-
     def _full(self, key):
         """Return the (width, height) of the images that the intrinsics belong to."""
         array = read_array(self.color.get(key) or self.depth[key])
         return array.shape[1], array.shape[0]
-
-
-def ids_of_colors(rgb, legend, where):
-    """
-    Return the ids of a label image in the legend's colours.
-
-    Parameters
-    ----------
-    rgb : ndarray, shape (H, W, 3), uint8
-        The image.
-    legend : Legend
-        Ids and colours.
-    where : str or Path
-        For messages.
-
-    Returns
-    -------
-    ndarray, shape (H, W), uint8
-        255 for colours that the legend does not have; a tenth of such pixels is refused.
-
-    """
-    key = rgb[..., 0].astype(np.int32) << 16 | rgb[..., 1].astype(np.int32) << 8 | rgb[..., 2]
-    table = {r << 16 | g << 8 | b: c.id for c in reversed(legend.classes) if c.id < UNLABELLED
-             for r, g, b in [c.color]}
-    values, places = np.unique(key, return_inverse=True)
-    found = np.array([table.get(int(v), UNLABELLED) for v in values], np.uint8)
-    ids = found[places.reshape(key.shape)]
-    strange = np.count_nonzero(ids == UNLABELLED)
-    if 10 * strange > ids.size:
-        worst = max((v for v, c in zip(values, found) if c == UNLABELLED),
-                    key=lambda v: np.count_nonzero(key == v))
-        raise PersemError(f'{where}: {100 * strange / ids.size:.0f} % of the pixels have colours '
-                          f'that the legend does not have, most of them ({worst >> 16}, '
-                          f'{worst >> 8 & 255}, {worst & 255}); give another with --legend')
-    return ids
-
-
-def _partners(keys, files):
-    """Return {key: path} of files with the same name, or else with the same number in it."""
-    names = {canonical(other): path for other, path in files.items()}
-    result = {key: names[canonical(key)] for key in keys if canonical(key) in names}
-    if result:
-        return result
-    numbers = {number_of_name(other): path for other, path in files.items()}
-    return {key: numbers[number_of_name(key)] for key in keys
-            if number_of_name(key) is not None and number_of_name(key) in numbers}
 
 
 def _scaled(size, scale):

@@ -80,3 +80,24 @@ class Block:
                    changed=np.stack([counts.changed[:, c].sum(1) for c in codes]),
                    **{name: np.array([getattr(counts, name)[c].sum() for c in codes])
                       for name in ('pairs', 'true_pairs', 'pixels')})
+
+
+def stacked(blocks, classes):
+    """Return the blocks' arrays with the blocks as first axis; matrix is their sum."""
+    result = {}
+    for name in Block.FIELDS:
+        arrays = [getattr(block, name) for block in blocks]
+        if name in ('hits', 'predicted', 'true'):
+            arrays = [_wide(a, classes, (a.ndim - 1,)) for a in arrays]
+        result[name] = np.stack(arrays)
+    result['matrix'] = sum(_wide(b.matrix, classes, (1, 2)) for b in blocks)
+    return result
+
+
+def _wide(array, size, axes):
+    """Return an array cut or filled up with zeros to *size* along *axes*."""
+    shape = [size if a in axes else n for a, n in enumerate(array.shape)]
+    result = np.zeros(shape, array.dtype)
+    part = tuple(slice(0, min(m, n)) for m, n in zip(shape, array.shape))
+    result[part] = array[part]
+    return result

@@ -24,7 +24,7 @@ def results(tasks, workers=0, scheduler='', frames=None):
 
     Parameters
     ----------
-    tasks : sequence of sequence.Task
+    tasks : sequence of task.Task
         The work.
     workers : int
         Processes; 0: one per core, as many as the memory allows. One works in this process,
@@ -128,8 +128,9 @@ def _on_cluster(tasks, address, frames, bar):
                                               with_results=True):
                 bar.update(frames[places[future.key]])
                 yield places[future.key], result
-        except (KilledWorker, CancelledError, OSError) as error:
-            raise PersemError(f'--scheduler {address}: the work was lost '
+        except (KilledWorker, CancelledError, OSError, RuntimeError, ImportError) as error:
+            raise PersemError(f'--scheduler {address}: the work was lost; the workers need the '
+                              'same persem_ros as here, the same paths and enough memory '
                               f'({" ".join(str(error).split())[:160]})') from None
 
 

@@ -9,8 +9,8 @@ from persem_ros import config_file
 from persem_ros.config import nearest
 from persem_ros.errors import PersemError
 from persem_ros.evaluate import combine, jobs, manifest, page, table
-from persem_ros.evaluate.sequence import ALL_METHODS, Task
 from persem_ros.evaluate.tables import tables
+from persem_ros.evaluate.task import ALL_METHODS, Task
 from persem_ros.evaluate.taxonomy import taxonomy
 from persem_ros.inputs.recording import Recording
 from persem_ros.legend import Legend

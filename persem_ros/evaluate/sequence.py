@@ -1,12 +1,12 @@
 """One sequence: a recording read twice becomes the counts of all methods."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
 
 from persem_ros import ahead
-from persem_ros.config import Config, IMAGE_METHODS, METHODS
+from persem_ros.config import IMAGE_METHODS, METHODS
 from persem_ros.core import jit, snapshot
 from persem_ros.core.images import counted, resampled
 from persem_ros.core.refine import labelled
@@ -15,55 +15,19 @@ from persem_ros.core.smoothing import EmaImages
 from persem_ros.core.warmup import warm_up
 from persem_ros.evaluate.classes import Classes
 from persem_ros.evaluate.counting import Counter
-from persem_ros.evaluate.counts import Block
+from persem_ros.evaluate.counts import stacked
 from persem_ros.evaluate.kinds import kinds_of
 from persem_ros.evaluate.measures import summary
 from persem_ros.evaluate.peak import PeakMemory
 from persem_ros.evaluate.pictures import Panels, top_view
-from persem_ros.evaluate.stream import Disturbance, Stream
+from persem_ros.evaluate.stream import Stream
 from persem_ros.evaluate.taxonomy import taxonomy
 from persem_ros.inputs.recording import Recording
 from persem_ros.legend import Legend, load_legend
 from persem_ros.outputs import rundir
 from persem_ros.pipeline import Pipeline
 
-ALL_METHODS = IMAGE_METHODS + METHODS
 BLOCKS = 30         # stretches of frames that intervals are made of
-
-
-@dataclass(frozen=True)
-class Task:
-    """
-    All that the result of one sequence depends on.
-
-    Attributes
-    ----------
-    recording : str
-        Path.
-    config : Config
-    methods : tuple of str
-        Some of ALL_METHODS.
-    labels : str
-        Taxonomy: a shipped legend or a file; '': none.
-    grouped, dynamic : bool
-        As of taxonomy.taxonomy.
-    predictions : str
-        Folder of label images that replace the recorded ones; '': none.
-    disturbance : Disturbance
-    pictures : bool
-        Keep what the figures show.
-
-    """
-
-    recording: str
-    config: Config = field(default_factory=Config)
-    methods: tuple = ALL_METHODS
-    labels: str = ''
-    grouped: bool = False
-    dynamic: bool = True
-    predictions: str = ''
-    disturbance: Disturbance = Disturbance()
-    pictures: bool = True
 
 
 def evaluate_sequence(task, tick=None):
@@ -250,27 +214,6 @@ def one_thread():
     """Let this process compute on one core: a worker among others."""
     jit.set_threads(1)
     cv2.setNumThreads(1)
-
-
-def stacked(blocks, classes):
-    """Return the blocks' arrays with the blocks as first axis; matrix is their sum."""
-    result = {}
-    for name in Block.FIELDS:
-        arrays = [getattr(block, name) for block in blocks]
-        if name in ('hits', 'predicted', 'true'):
-            arrays = [_wide(a, classes, (a.ndim - 1,)) for a in arrays]
-        result[name] = np.stack(arrays)
-    result['matrix'] = sum(_wide(b.matrix, classes, (1, 2)) for b in blocks)
-    return result
-
-
-def _wide(array, size, axes):
-    """Return an array cut or filled up with zeros to *size* along *axes*."""
-    shape = [size if a in axes else n for a, n in enumerate(array.shape)]
-    result = np.zeros(shape, array.dtype)
-    part = tuple(slice(0, min(m, n)) for m, n in zip(shape, array.shape))
-    result[part] = array[part]
-    return result
 
 
 def _everything(settings):

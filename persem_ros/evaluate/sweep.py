@@ -11,8 +11,8 @@ from persem_ros.errors import PersemError
 from persem_ros.evaluate import manifest, run, sweep_page, table
 from persem_ros.evaluate.combine import mean
 from persem_ros.evaluate.measures import BETTER, MEASURES
-from persem_ros.evaluate.sequence import Task
 from persem_ros.evaluate.stream import Disturbance
+from persem_ros.evaluate.task import Task
 from persem_ros.outputs import rundir
 from persem_ros.outputs.files import write_json, write_text
 from persem_ros.parameter_file import parse
