@@ -82,7 +82,8 @@ def finished(recording, tmp_path_factory):
     """Return (folder, status) of a replay by the command line, with the truth."""
     out = tmp_path_factory.mktemp('finished') / 'result'
     return out, main(['replay', str(recording), '--out', str(out), '--set',
-                      'memory.voxel_size=0.2', '--set', 'memory.dynamic_labels=9'])
+                      'memory.voxel_size=0.2', '--set', 'memory.dynamic_labels=9',
+                      '--methods', 'raw2d, majority'])
 
 
 def test_everything_is_left_behind_whole(finished):

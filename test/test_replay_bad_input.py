@@ -233,6 +233,14 @@ def test_a_folder_that_is_not_empty_needs_force(persem, recording, tmp_path):
     assert replays.check_whole(out) == ALL
 
 
+def test_force_does_not_take_a_folder_that_no_replay_made(persem, recording, tmp_path):
+    mine = tmp_path / 'out' / 'refined' / 'mine.txt'
+    mine.parent.mkdir(parents=True)
+    mine.write_text('mine')
+    refused(persem(recording, '--force'), 'refined', 'not a recording', '--force')
+    assert mine.read_text() == 'mine'
+
+
 def test_force_spares_the_old_results_until_there_are_new_ones(persem, recording, tmp_path):
     status, _, out = persem(recording)
     assert status == 0

@@ -35,7 +35,7 @@ def run(args):
     from persem_ros import config_file
     from persem_ros.replay import replay
     config = config_file.from_args(args.config, args.set_items)
-    methods = args.methods.split(',') if args.methods else None
+    methods = [name.strip() for name in args.methods.split(',')] if args.methods else None
     with ExitStack() as stack:
         watchers = []
         if args.rerun:

@@ -13,6 +13,7 @@ import time
 
 from persem_ros import __version__
 from persem_ros.errors import PersemError
+from persem_ros.outputs.recording import check_target
 
 FILES = ('map.ply', 'map.persem', 'refined', 'metrics.json', 'config.yaml', 'timing.json',
          'report.html')
@@ -48,6 +49,7 @@ def prepare(path, force=False, keep=()):
         if any(path.iterdir()) and not force:
             raise PersemError(f'{path} is not empty; give another folder with --out, or --force '
                               'to replace the files of an earlier run')
+        check_target(path / 'refined', force=True)      # a folder of somebody else's stays
         for left in [entry for entry in path.iterdir() if _is_left_behind(entry.name)]:
             _remove(left)
         probe = path / f'.{os.getpid()}.probe'
