@@ -152,11 +152,11 @@ def points_table(result):
             point['mean']['truth_flicker'], point['mean']['voxels'],
             point['mean']['history_s'], point['mean']['refinement_s'])))
             for point in result['points']]
-    n = len(result['recordings'])
+    names = result['recordings']
+    title = f'Sweep over {", ".join(result["axes"])}, ' + (
+        names[0] if len(names) == 1 else f'mean of {len(names)} sequences')
     return table.marked(table.Table(
-        'sweep', f'Sweep over {", ".join(result["axes"])}' + (f', mean of {n} sequences'
-                                                              if n > 1 else ''),
-        tuple(result['axes']), columns, rows))
+        'sweep', title, tuple(result['axes']), columns, rows))
 
 
 def _point(values, summaries):

@@ -45,10 +45,9 @@ def measures(group='', signed=False):
 
 def main(evaluation):
     """Return Table 1: all methods, macro-averaged."""
-    macro, n = evaluation['macro']['all'], len(evaluation['sequences'])
-    rows = _method_rows(macro, evaluation['methods'])
-    return marked(Table('main', 'Main results' + (f', mean of {n} sequences' if n > 1 else ''),
-                        ('method',), measures(), rows, notes(evaluation), _rules(rows)))
+    rows = _method_rows(evaluation['macro']['all'], evaluation['methods'])
+    return marked(Table('main', f'Main results, {_of(evaluation)}', ('method',), measures(), rows,
+                        notes(evaluation), _rules(rows)))
 
 
 def by_sequence(evaluation):
@@ -74,15 +73,16 @@ def gains(evaluation, base):
                            f'{"up" if r["rises"] >= r["falls"] else "down"}'
                            for r in found[head[0]].values())), cells) for head, cells in rows]
     head = ('method',) + (('PA in', 'mIoU in', 'flicker in') if n > 1 else ())
-    return Table(f'gains_over_{base}', f'Difference from {base}, points', head,
-                 measures(signed=True), rows, notes(evaluation, True))
+    title = f'Difference from {base}, points, {_of(evaluation)}'
+    return Table(f'gains_over_{base}', title, head, measures(signed=True), rows,
+                 notes(evaluation, True))
 
 
 def ablation(evaluation):
     """Return Table 2: the components of the refinement."""
     rows = _method_rows(evaluation['macro']['all'],
                         [m for m in ABLATION if m in evaluation['methods']])
-    return marked(Table('ablation', 'Component ablation', ('variant',), measures(), rows,
+    return marked(Table('ablation', f'Component ablation, {_of(evaluation)}', ('variant',), measures(), rows,
                         notes(evaluation), (len(rows) - 1,)))
 
 
@@ -114,8 +114,8 @@ def difficult(evaluation):
             Cell(macro['share']), *(_interval(found[place]['persem'][key]) for key in MEASURES),
             Cell(macro['truth_flicker']))))
     columns = (Column('Pixels, %'), *measures(signed=True), Column('Truth flicker'))
-    return Table('regions', 'Difference of persem from majority in difficult regions',
-                 ('region',), columns, rows, notes(evaluation, True))
+    return Table('regions', 'Difference of persem from majority in difficult regions, '
+                 + _of(evaluation), ('region',), columns, rows, notes(evaluation, True))
 
 
 def runtime(evaluation):
@@ -172,6 +172,12 @@ def _method_rows(region, methods):
 
 def _truth_cells(region):
     return tuple(Cell(region['truth_flicker'] if key == 'flicker' else None) for key in MEASURES)
+
+
+def _of(evaluation):
+    """Return what a table is about: the sequence, or how many."""
+    names = list(evaluation['sequences'])
+    return names[0] if len(names) == 1 else f'mean of {len(names)} sequences'
 
 
 def _interval(row):
