@@ -82,8 +82,8 @@ def ablation(evaluation):
     """Return Table 2: the components of the refinement."""
     rows = _method_rows(evaluation['macro']['all'],
                         [m for m in ABLATION if m in evaluation['methods']])
-    return marked(Table('ablation', f'Component ablation, {_of(evaluation)}', ('variant',), measures(), rows,
-                        notes(evaluation), (len(rows) - 1,)))
+    return marked(Table('ablation', f'Component ablation, {_of(evaluation)}', ('variant',),
+                        measures(), rows, notes(evaluation), (len(rows) - 1,)))
 
 
 def trust(evaluation):
