@@ -113,12 +113,12 @@ class Legend:
 
     @property
     def ignored(self):
-        """The ids that are not observations, as a tuple."""
+        """Return the ids that are not observations, as a tuple."""
         return tuple(item.id for item in self.classes if item.ignored)
 
     @property
     def dynamic(self):
-        """The ids of things that move, as a tuple."""
+        """Return the ids of things that move, as a tuple."""
         return tuple(item.id for item in self.classes if item.dynamic)
 
     def name(self, label):

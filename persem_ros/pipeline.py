@@ -75,6 +75,6 @@ class Pipeline:
 
     @property
     def unknown(self):
-        """The ignored id that stands for "unknown" in an image."""
+        """Return the ignored id that stands for "unknown" in an image."""
         ignored = [c for c in self.config.memory.ignore_labels if c >= 0]
         return ignored[0] if ignored else 65535

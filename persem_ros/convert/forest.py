@@ -118,7 +118,7 @@ class Sequence:
 
     @property
     def axes(self):
-        """The camera's axes in the poses."""
+        """Return the camera's axes in the poses."""
         return self.options.axes or ('ned' if self.airsim else 'opencv')
 
     def write(self, scene, key):

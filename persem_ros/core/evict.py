@@ -18,6 +18,7 @@ def keep_near(memory, position, radius=0.0, max_voxels=0):
     Parameters
     ----------
     memory : core.memory.VoxelMemory
+        The map.
     position : sequence of 3 floats
         Metres in the map frame.
     radius : float

@@ -16,6 +16,7 @@ def points(frame, settings):
     Parameters
     ----------
     frame : persem_ros.frames.Frame
+        Labels, depth and camera.
     settings : persem_ros.config.Memory
         Depth range, stride, ignored and dynamic labels.
 

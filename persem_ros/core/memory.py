@@ -60,12 +60,12 @@ class VoxelMemory:
 
     @property
     def m(self):
-        """The pools' arrays, for kernels."""
+        """Return the pools' arrays, for kernels."""
         return self.store.arrays
 
     @property
     def n_voxels(self):
-        """Number of observed voxels."""
+        """Return number of observed voxels."""
         return int(self.m.used[VOXELS] - self.m.used[FREE_VOXELS])
 
     @property
@@ -80,7 +80,7 @@ class VoxelMemory:
 
     @property
     def n_observations(self):
-        """Number of observations ever added."""
+        """Return number of observations ever added."""
         return int(self.m.used[OBSERVATIONS])
 
     def add(self, observations):

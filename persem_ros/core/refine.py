@@ -38,7 +38,9 @@ def refine(memory, settings, full=True):
     Parameters
     ----------
     memory : core.memory.VoxelMemory
+        The map.
     settings : persem_ros.config.Refine
+        The method and its constants.
     full : bool
         Take the class volatility anew and visit every voxel; False: keep the last volatility
         and visit the voxels whose own or neighbouring evidence changed.

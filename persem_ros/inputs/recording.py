@@ -77,17 +77,17 @@ class Recording:
 
     @property
     def notes(self):
-        """What the user should know and what did not prevent the use: a list of sentences."""
+        """Return what the user should know and what did not prevent the use: sentences."""
         return self.source.notes + self._latched.faults + list(self._notes.values())
 
     @property
     def legend_text(self):
-        """The recording's own legend (YAML), '' where it has none."""
+        """Return the recording's own legend (YAML), '' where it has none."""
         return self._latched.legend
 
     @property
     def statics(self):
-        """The static transforms: a list of (T_parent_child, parent, child)."""
+        """Return the static transforms: a list of (T_parent_child, parent, child)."""
         return self._latched.statics
 
     def has(self, kind):

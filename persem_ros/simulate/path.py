@@ -24,7 +24,7 @@ class Path:
 
     @property
     def duration(self):
-        """The last time, in seconds, at which the path is known."""
+        """Return the last time, in seconds, at which the path is known."""
         return (len(self.knots) - 4) * TICK
 
     def body(self, time):

@@ -55,7 +55,7 @@ class Plan:
 
     @property
     def flown_altitude(self):
-        """The altitude with the voxel scale in it, metres."""
+        """Return the altitude with the voxel scale in it, metres."""
         return self.altitude * max(self.voxel_scale, 0.0) ** 0.5
 
     def without_errors(self):
