@@ -13,10 +13,11 @@ TIMED = (LABELS, DEPTH, POSE)       # whose stamps tell what time it is
 
 
 class _Jump(NamedTuple):
-    """When (ns of the clock of arrival) time went back, and the stamp between old and new."""
+    """When time went back, by the clock of arrival, and the stamp between old and new, ns."""
 
     at: int
     middle: int
+    renewed: set        # topics that have shown new stamps; of others old ones may still come
 
 
 class LiveIntake(Intake):
@@ -58,23 +59,18 @@ class LiveIntake(Intake):
             return
         key = role, id(taker)
         timeline = self._timelines.setdefault(key, Timeline(self._wait))
-        jump = self._jump if self._jump and now - self._jump.at <= self._wait else None
-        if jump and stamp > jump.middle:
+        if self._is_stale(key, stamp, now):
             self._drop_reason(role, STALE)
             return
         before, verdict = timeline.now, timeline.judge(stamp)
         odd = self._odd.pop(key, None)
-        if verdict == ODD and not jump:
-            self._odd[key] = role, taker, kind, now, data
         if odd and verdict != BACK:
             self._drop_reason(role, WENT_BACK)
-        if verdict == ODD and jump:         # another topic has shown already that time went back
-            timeline.restart(stamp)
-        elif verdict == ODD:
+        if verdict == ODD:
+            self._odd[key] = role, taker, kind, now, data
             return
-        elif verdict == BACK:
-            if not jump:
-                self._go_back(now, (before + stamp) // 2)
+        if verdict == BACK:
+            self._go_back(now, (before + stamp) // 2, key)
             self._take_now(*odd)
         self._take_now(role, taker, kind, now, data)
 
@@ -105,6 +101,8 @@ class LiveIntake(Intake):
         """Forget everything that was held and heard; static transforms and infos stay."""
         super().clear()
         self._heard.clear()
+        self._timelines.clear()
+        self._odd.clear()
         for buffer in {id(s.poses): s.poses for s in self.stations}.values():
             buffer.clear()
 
@@ -115,8 +113,17 @@ class LiveIntake(Intake):
             self._heard[id(taker)] = max(stamp, latest), now
         super().take(role, taker, kind, now, data)
 
-    def _go_back(self, now, middle):
-        self._jump = _Jump(now, middle)
+    def _is_stale(self, key, stamp, now):
+        """Whether a message was sent before time went back, as another topic has shown."""
+        jump = self._jump
+        if jump is None or key in jump.renewed or now - jump.at > self._wait:
+            return False
+        if stamp <= jump.middle:
+            jump.renewed.add(key)
+        return stamp > jump.middle
+
+    def _go_back(self, now, middle, key):
+        self._jump = _Jump(now, middle, {key})
         self.jumps += 1
         self.clear()
         self._on_jump()

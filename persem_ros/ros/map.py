@@ -95,11 +95,11 @@ class MapOutputs:
         try:
             if 'changes' in wanted:
                 changed, gone = self._known.update(columns)
-                points = self._points(changed, voxel_size)
-                lost = np.zeros(len(gone), POINT)
-                for axis, name in enumerate('xyz'):
-                    lost[name] = (gone[:, axis] + 0.5) * voxel_size
-                self._changes.publish(cloud(stamp, self._frame, np.concatenate([points, lost])))
+                points = np.zeros(len(changed['voxel']) + len(gone), POINT)
+                points[len(gone):] = self._points(changed, voxel_size)
+                for axis, name in enumerate('xyz'):     # observations stay 0: removed
+                    points[name][:len(gone)] = (gone[:, axis] + 0.5) * voxel_size
+                self._changes.publish(cloud(stamp, self._frame, points))
             if 'map' in wanted:
                 shown = selection(columns, voxel_size, centre, settings)
                 self._map.publish(cloud(stamp, self._frame, self._points(shown, voxel_size)))

@@ -9,6 +9,7 @@ from persem_ros.inputs.decode import Decoder
 from persem_ros.inputs.live import LiveIntake
 from persem_ros.legend import Legend, load_legend
 from persem_ros.outputs import store
+from persem_ros.ros.counters import Statistics
 from persem_ros.ros.diagnostics import Diagnostics
 from persem_ros.ros.images import ImageOutputs
 from persem_ros.ros.inbox import Inbox
@@ -16,7 +17,6 @@ from persem_ros.ros.inputs import check_topics, Inputs
 from persem_ros.ros.map import LATCHED, MapOutputs
 from persem_ros.ros.parameters import Parameters
 from persem_ros.ros.services import Services
-from persem_ros.ros.counters import Statistics
 from persem_ros.ros.watchdog import Watchdog
 from persem_ros.ros.worker import Worker
 import rclpy
@@ -46,7 +46,7 @@ class Mapper(Node):
         check_topics(config)
         self.legend = load_legend(config.labels.legend) if config.labels.legend else Legend()
         self.statistics = Statistics()
-        self.worker = Worker(config, self.statistics, _stored(config))
+        self.worker = Worker(config, self.statistics, _stored(config), self.context.ok)
         self.inbox = Inbox(config.sync, self.worker.lost)
         intake = LiveIntake(config, Decoder(), self.statistics.dropped, self.worker.jumped)
         self.maps = MapOutputs(self, config.frames.map, lambda: self.legend)

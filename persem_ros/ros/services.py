@@ -3,15 +3,14 @@
 from concurrent.futures import ThreadPoolExecutor
 import logging
 from pathlib import Path
-import time
 
 from persem_ros.core.dump import dump
 from persem_ros.errors import PersemError
 from persem_ros.outputs import store
+from rclpy.callback_groups import ReentrantCallbackGroup
 from std_srvs.srv import Trigger
 
 log = logging.getLogger(__name__)
-NAP = 0.005     # s
 
 
 class Services:
@@ -34,8 +33,12 @@ class Services:
         """Advertise the services."""
         self._worker, self._legend = worker, legend
         self._threads = ThreadPoolExecutor(4, 'service')
+        self._done = node.create_guard_condition(lambda: None)
+        # A group of its own: a service that waits would keep everything else of its group waiting.
+        group = ReentrantCallbackGroup()
         for name in ('refine', 'save_map', 'load_map', 'reset', 'pause', 'resume'):
-            node.create_service(Trigger, f'~/{name}', self._service(getattr(self, name)))
+            node.create_service(Trigger, f'~/{name}', self._service(getattr(self, name)),
+                                callback_group=group)
 
     def refine(self):
         """Refine the whole map with a fresh volatility; what came before it is part of it."""
@@ -59,9 +62,7 @@ class Services:
 
     def reset(self):
         """Forget the map."""
-        count = self._worker.memory.n_voxels
-        self._worker.call(self._worker.replace, None).result()
-        return f'forgot {count} voxels'
+        return f'forgot {self._worker.call(self._worker.reset).result()} voxels'
 
     def pause(self):
         """Integrate no more frames; they are still rendered from the map as it is."""
@@ -94,6 +95,7 @@ class Services:
     def _service(self, work):
         async def serve(request, response):
             future = self._threads.submit(work)
+            future.add_done_callback(lambda _: self._done.trigger())
             await _Waiting(future)
             try:
                 response.success, response.message = True, future.result()
@@ -113,8 +115,8 @@ class _Waiting:
     """
     Awaits a concurrent Future on rclpy's executor.
 
-    The executor of Jazzy asks an unfinished coroutine again and again without a pause, a whole
-    core long; a nap in every round keeps it quiet, and it takes messages between two naps.
+    The executor asks an unfinished coroutine whenever anything else wakes it; it needs a guard
+    condition to be woken for the coroutine's sake.
 
     """
 
@@ -124,5 +126,4 @@ class _Waiting:
     def __await__(self):
         """Yield to the executor until the future is done."""
         while not self._future.done():
-            time.sleep(NAP)
             yield

@@ -32,6 +32,10 @@ class Worker(threading.Thread):
     ----------
     config : persem_ros.config.Config
     statistics : persem_ros.ros.counters.Statistics
+    memory : persem_ros.core.memory.VoxelMemory, optional
+        A map to go on with.
+    alive : callable
+        alive() says whether ROS is still there to publish to.
 
     Attributes
     ----------
@@ -43,7 +47,7 @@ class Worker(threading.Thread):
 
     """
 
-    def __init__(self, config, statistics, memory=None):
+    def __init__(self, config, statistics, memory=None, alive=lambda: True):
         """Make an empty map, or go on with *memory*."""
         super().__init__(name='worker', daemon=True)
         self.pipeline = Pipeline(config, memory)
@@ -51,11 +55,13 @@ class Worker(threading.Thread):
         self.paused = False
         self.ready = threading.Event()
         self.refiner = Refiner(statistics, self._wake)
+        self._alive = alive
         self._calls = queue.SimpleQueue()
         self._ending = False
         self._mapped = self._trimmed = time.monotonic()
         self._stale = set()         # what the map's topics have not shown yet: 'map', 'changes'
         self._listening = set()
+        self._stamp = 0             # of the last frame
         self._warned = {}           # reason -> when
         self._reported = Counter()  # drops that were warned of
 
@@ -130,6 +136,13 @@ class Worker(threading.Thread):
         self.pipeline = Pipeline(self.config, memory)
         self._stale = {'map', 'changes'}
 
+    def reset(self):
+        """Forget the map and whatever waits; return how many voxels there were."""
+        count = self.memory.n_voxels
+        self.replace(None)
+        self.intake.clear()
+        return count
+
     def jumped(self):
         """Time went back: a new session begins, or a new map."""
         if self.config.map.on_time_jump == 'reset':
@@ -161,7 +174,8 @@ class Worker(threading.Thread):
     @property
     def _position(self):
         """Return where the camera was last, metres in the map frame."""
-        return self.memory.frames[-1].T_map_sensor[:3, 3]
+        frames = self.memory.frames
+        return frames[-1].T_map_sensor[:3, 3] if frames else np.array(self.memory.origin)
 
     def _wake(self):
         self.inbox.wake()
@@ -171,6 +185,8 @@ class Worker(threading.Thread):
         try:
             function(*arguments)
         except Exception as error:      # noqa: B902
+            if self._ending or not self._alive():
+                return
             reason = f'internal error: {type(error).__name__}'
             self.statistics.dropped[reason] += 1
             self.complain(reason, f'{reason}: {error}')
@@ -263,13 +279,11 @@ class Worker(threading.Thread):
 
     def _publish_map(self):
         """Hand the map to its publishers when somebody listens and it is time."""
-        if self.map.busy or not self.memory.frames:
+        if self.map.busy or not self._stale:
             return
         wanted = self.map.wanted()
         if 'changes' in self._listening - wanted:
             self.map.forget()
-        if 'changes' in wanted - self._listening:
-            self._stale.add('changes')
         self._listening = wanted
         due = wanted & self._stale
         rate, now = self.config.map.rate, time.monotonic()
@@ -280,6 +294,7 @@ class Worker(threading.Thread):
         if 'map' in due:
             self._mapped = now
         self._stale -= due
-        self.map.publish(due, self.memory.voxels(), self.memory.voxel_size,
-                         self.memory.frames[-1].stamp, self._position - self.memory.origin,
-                         self.config.map)
+        if self.memory.frames:
+            self._stamp = self.memory.frames[-1].stamp
+        self.map.publish(due, self.memory.voxels(), self.memory.voxel_size, self._stamp,
+                         self._position - self.memory.origin, self.config.map)

@@ -69,9 +69,16 @@ class Ros:
 
 
 @pytest.fixture(scope='session')
-def workspace(tmp_path_factory):
-    """Return the environment of a fresh workspace that colcon has built, kernels compiled."""
-    folder = tmp_path_factory.mktemp('workspace')
+def workspace():
+    """
+    Return the environment of a workspace that colcon has built, kernels compiled.
+
+    It is always the same folder: numba keeps compiled kernels by the path of their source.
+
+    """
+    folder = os.path.join(ROOT, 'build', 'ros-test')
+    os.makedirs(folder, exist_ok=True)
+    open(os.path.join(ROOT, 'build', 'COLCON_IGNORE'), 'w').close()
     subprocess.run([sys.executable, '-m', 'colcon', 'build', '--symlink-install', '--base-paths',
                     ROOT, '--packages-select', 'persem_ros'], cwd=folder, check=True,
                    stdout=subprocess.DEVNULL)
