@@ -14,6 +14,7 @@ import numba
 import numpy as np
 
 log = logging.getLogger(__name__)
+COMPLETE = 'complete'   # a file beside the compiled kernels, once all of them are there
 KERNELS = []            # every compiled function, for warm-up and for the test that counts them
 _pool = None
 _threads = 0
@@ -26,33 +27,37 @@ def kernel(function):
     No fastmath: spec section 2 fixes the order of every sum.
 
     """
+    KERNELS.append(cached(function))
+    return KERNELS[-1]
+
+
+def cached(function):
+    """Compile a function of any part of the package; the result goes to the kernels' folder."""
     before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, cache_folder()
     try:
-        compiled = numba.njit(cache=True, nogil=True, error_model='numpy')(function)
+        return numba.njit(cache=True, nogil=True, error_model='numpy')(function)
     finally:
         numba.config.CACHE_DIR = before
-    KERNELS.append(compiled)
-    return compiled
 
 
 @functools.cache
 def cache_folder():
     """
-    Return the folder of the compiled kernels: beside the source, else the user's, else temporary.
+    Return the folder of the compiled kernels: the user's cache, else a temporary one.
 
-    An installed package may be read-only and a service may have no home. The folder is named
-    after the content of the core: numba looks at the date of a kernel's own file only, and would
-    go on using what it had inlined from another.
+    Not beside the source: an installed package may be read-only, and pip leaves behind what it
+    did not install, a folder 'persem_ros' that would hide a later installation. The folder is
+    named after the content of the core: numba looks at the date of a kernel's own file only, and
+    would go on using what it had inlined from another.
 
     """
-    here = Path(__file__).parent
     digest = hashlib.sha256(f'{numba.__version__} {np.__version__}'.encode())
-    for source in sorted(here.glob('*.py')):
+    for source in sorted(Path(__file__).parent.glob('*.py')):
         digest.update(source.read_bytes())
     name = f'kernels-{digest.hexdigest()[:16]}'
     home = os.environ.get('XDG_CACHE_HOME') or os.path.expanduser('~/.cache')
-    for root in (os.environ.get('NUMBA_CACHE_DIR'), here / '__pycache__',
-                 Path(home) / 'persem_ros', Path(tempfile.gettempdir()) / f'persem-{os.getuid()}'):
+    for root in (os.environ.get('NUMBA_CACHE_DIR'), Path(home) / 'persem_ros',
+                 Path(tempfile.gettempdir()) / f'persem-{os.getuid()}'):
         folder = Path(root or os.devnull) / name
         try:
             folder.mkdir(0o700, parents=True, exist_ok=True)
@@ -62,6 +67,14 @@ def cache_folder():
         if own and os.access(folder, os.W_OK):
             return str(folder)
     return str(folder)      # numba says what is wrong with it
+
+
+def mark_complete():
+    """Note that every kernel has been compiled, so that nobody is told of it again."""
+    try:
+        Path(cache_folder(), COMPLETE).touch()
+    except OSError:
+        pass
 
 
 def inlined(function):
@@ -134,11 +147,12 @@ class Announcement:
     """Say that kernels are being compiled, but only when it takes long enough to be noticed."""
 
     def __enter__(self):
-        """Start the clock."""
+        """Start the clock, unless the kernels are in the cache and only have to be loaded."""
         self._timer = threading.Timer(1.5, log.warning, [
             'compiling the kernels, once (up to 20 s); later starts load them from a cache'])
         self._timer.daemon = True
-        self._timer.start()
+        if not Path(cache_folder(), COMPLETE).exists():
+            self._timer.start()
         return self
 
     def __exit__(self, *_):

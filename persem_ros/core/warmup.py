@@ -6,7 +6,7 @@ from persem_ros.config import Memory, METHODS, Refine
 from persem_ros.core.dump import dump, load
 from persem_ros.core.evict import keep_near
 from persem_ros.core.images import placed, points
-from persem_ros.core.jit import keep_memory
+from persem_ros.core.jit import keep_memory, mark_complete
 from persem_ros.core.memory import VoxelMemory
 from persem_ros.core.observe import observe
 from persem_ros.core.refine import label, refine
@@ -49,3 +49,4 @@ def warm_up():
     render(voxel_image_of(memory, *pixels, depth.shape), labelled)
     EmaImages(0.5).update(labels)
     keep_near(memory, (0.0, 0.0, 0.0), max_voxels=memory.n_voxels // 2)
+    mark_complete()

@@ -9,8 +9,8 @@ The format string of a CompressedImage decides, not the bytes: '16UC1; compresse
 import re
 
 import cv2
-import numba
 import numpy as np
+from persem_ros.core.jit import cached
 
 HEADER = 12         # compressedDepth: int32 format, float32 A, float32 B
 PLAIN = ('png', '16uc1; png', '16uc1; png compressed')     # depth without that header
@@ -130,15 +130,7 @@ def _rvl_image(body):
     return image.reshape(rows, columns)
 
 
-def _compiled(function):
-    """Compile *function*; the code is cached where any folder for it can be written."""
-    try:
-        return numba.njit(cache=True, nogil=True)(function)
-    except RuntimeError:
-        return numba.njit(nogil=True)(function)
-
-
-@_compiled
+@cached
 def _number(data, at, end):
     """
     Read one variable-length number.
@@ -161,7 +153,7 @@ def _number(data, at, end):
     return -1, at
 
 
-@_compiled
+@cached
 def rvl_decode(data, end, out):
     """
     Decode RVL (Wilson 2017: runs of zeros, runs of zigzag differences) into *out*.

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
+from persem_ros.core.jit import cached
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ def make_field(rng, lengths, waves=32):
     return Field(vectors.astype(np.float32), rng.random(waves).astype(np.float32))
 
 
-@numba.njit(cache=True, nogil=True)
+@cached
 def sum_of_waves(points, waves, phases, out):
     """Write sqrt(2 / n) * sum_k wave(waves[k] . point + phases[k]) into *out*, (m,)."""
     count, dimensions = waves.shape

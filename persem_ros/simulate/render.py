@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import cv2
-import numba
 import numpy as np
 
+from persem_ros.core.jit import cached
 from persem_ros.simulate import materials as mat
 from persem_ros.simulate import terrain as land
 from persem_ros.simulate.shading import shade, shadow_map, sky, SUN, to_bytes
@@ -127,7 +127,7 @@ def _slopes(terrain):
     return np.stack(np.gradient(terrain.height(*grid), land.STEP), -1).astype(np.float32)
 
 
-@numba.njit(cache=True, nogil=True)
+@cached
 def turned(rays, R, out):
     """Write R @ ray of every ray; their z is 1 in the camera, so that their t is the depth."""
     for i in range(len(rays)):
@@ -135,7 +135,7 @@ def turned(rays, R, out):
             out[i, j] = R[j, 0] * rays[i, 0] + R[j, 1] * rays[i, 1] + R[j, 2] * rays[i, 2]
 
 
-@numba.njit(cache=True, nogil=True)
+@cached
 def meet(hit, pixels, origin, rays, corners, face_normals, face_material, depth, points, normals,
          material):
     """Where rays meet the planes of the triangles that they hit; *hit* becomes -1 if hidden."""
@@ -158,7 +158,7 @@ def meet(hit, pixels, origin, rays, corners, face_normals, face_material, depth,
             normals[i, j] = sign * n[j]
 
 
-@numba.njit(cache=True, nogil=True)
+@cached
 def ground_material(pixels, points, material, ground, slope, normals):
     """Replace the terrain's material by the ground map's, its normal by a smooth one."""
     rows, columns = ground.shape
@@ -184,7 +184,7 @@ def ground_material(pixels, points, material, ground, slope, normals):
         normals[i, 0], normals[i, 1], normals[i, 2] = -s[0] * norm, -s[1] * norm, norm
 
 
-@numba.njit(cache=True, nogil=True)
+@cached
 def classify(pixels, origin, points, normals, material, classes, labels, facing):
     """Write the class and the cosine of incidence of every pixel that was hit."""
     for i in range(len(pixels)):

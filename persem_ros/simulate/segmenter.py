@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from statistics import NormalDist
 
 import cv2
-import numba
 import numpy as np
 
+from persem_ros.core.jit import cached
 from persem_ros.simulate import materials as mat
 from persem_ros.simulate.fields import make_field
 
@@ -181,7 +181,7 @@ def _sprinkle(rng, labels, share):
     labels.reshape(-1)[at + 1] = wrong
 
 
-@numba.njit(cache=True, nogil=True)
+@cached
 def directions(points, origin, out):
     """Write (point, unit vector from it to *origin*) into *out*, (n, 6); return distances."""
     distance = np.empty(len(points), np.float32)
@@ -197,7 +197,7 @@ def directions(points, origin, out):
     return distance
 
 
-@numba.njit(cache=True, nogil=True)
+@cached
 def mistake(truth, latent, choice, threshold, wrong, labels):
     """Write the class that each pixel is taken for."""
     for i in range(len(truth)):

@@ -1,7 +1,7 @@
 """Light and colour: sun, shadow, sky, texture, haze."""
 
-import numba
 import numpy as np
+from persem_ros.core.jit import cached
 from persem_ros.simulate import materials as mat
 
 SUN = np.array([-0.46, -0.52, 0.72]) / np.linalg.norm([-0.46, -0.52, 0.72])
@@ -25,7 +25,7 @@ def shadow_map(scene):
     return axes.astype(np.float32), toward.astype(np.float32).reshape(a.shape)
 
 
-@numba.njit(cache=True, nogil=True)
+@cached
 def hashed(i, j, k):
     """Return a number in -1 .. 1 that depends on three integers, float32."""
     h = np.uint32(i) * np.uint32(374761393) + np.uint32(j) * np.uint32(668265263)
@@ -34,7 +34,7 @@ def hashed(i, j, k):
     return np.float32((h ^ (h >> np.uint32(16))) & np.uint32(0xffff)) / np.float32(32767.5) - 1
 
 
-@numba.njit(cache=True, nogil=True)
+@cached
 def noise(x, y, z):
     """Return smooth noise in -1 .. 1 with cells of size 1."""
     i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
@@ -47,7 +47,7 @@ def noise(x, y, z):
     return (1 - c) * low + c * high
 
 
-@numba.njit(cache=True, nogil=True)
+@cached
 def sunlit(p, sun, axes, shadow):
     """Return how much of the sun a point sees, 0 .. 1, from the shadow map (four taps)."""
     a = (axes[0, 0] * p[0] + axes[0, 1] * p[1] + axes[0, 2] * p[2] + SHADOW_HALF) / SHADOW_CELL
@@ -62,7 +62,7 @@ def sunlit(p, sun, axes, shadow):
     return np.float32(lit)
 
 
-@numba.njit(cache=True, nogil=True)
+@cached
 def pattern_gain(pattern, p, n, base):
     """Return the factor on the albedo that a pattern (rows, windows, tiles, slabs) makes."""
     if pattern == mat.ROWS:
@@ -79,7 +79,7 @@ def pattern_gain(pattern, p, n, base):
     return 1.0
 
 
-@numba.njit(cache=True, nogil=True)
+@cached
 def shade(hit, pixels, origin, points, normals, material, tint, base, albedo, strength, size,
           patterns, sun, shadow, color):
     """Write the linear colour of every pixel that was hit: sun, sky, shadow, texture, haze."""
@@ -128,7 +128,7 @@ def shade(hit, pixels, origin, points, normals, material, tint, base, albedo, st
             color[pixels[i], j] = value * (1 - haze) + haze * haze_color[j]
 
 
-@numba.njit(cache=True, nogil=True)
+@cached
 def sky(rays, color):
     """Write the colour of the sky for every ray."""
     for i in range(len(rays)):
@@ -138,7 +138,7 @@ def sky(rays, color):
         color[i, 2] = 0.84 - 0.15 * t
 
 
-@numba.njit(cache=True, nogil=True)
+@cached
 def to_bytes(linear, shown):
     """Write linear intensities as display values 0 .. 255, gamma 2."""
     for i in range(len(linear)):
