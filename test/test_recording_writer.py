@@ -2,6 +2,7 @@
 
 import errno
 from pathlib import Path
+import re
 import signal
 import subprocess
 import sys
@@ -189,6 +190,81 @@ def test_a_full_folder_is_refused_and_force_replaces_recordings_only(tmp_path):
         RecordingWriter(tmp_path / 'papers', force=True)
     with pytest.raises(PersemError, match='is a file'):
         RecordingWriter(tmp_path / 'papers/thesis.tex', force=True)
+
+
+@pytest.mark.parametrize('extra, said', [
+    (('notes.txt', 'other_flight.mcap'),
+     'r also holds notes.txt, other_flight.mcap, which are not of the recording; --force does not '
+     'delete them; give another name'),
+    (('.notes',), 'r also holds .notes, which is not of the recording; --force does not delete '
+     'it; give'),
+    (('sub/a.mcap',), 'r also holds sub/, which is not of the recording'),
+    (tuple(f'{i}.txt' for i in range(7)), '0.txt, 1.txt, 2.txt, 3.txt, 4.txt, …, which are')])
+def test_force_deletes_nothing_that_is_not_of_the_recording(tmp_path, kind, extra, said):
+    target = tmp_path / 'r'
+    with RecordingWriter(target, **kind) as out:
+        out.pose('old', STAMP, 'map', T)
+    for name in extra:
+        (target / name).parent.mkdir(exist_ok=True)
+        (target / name).write_text('mine')
+    before = {p: p.read_bytes() for p in target.rglob('*') if p.is_file()}
+    with pytest.raises(PersemError, match=re.escape(said)):
+        RecordingWriter(target, force=True)
+    assert {p: p.read_bytes() for p in target.rglob('*') if p.is_file()} == before
+    assert list(tmp_path.iterdir()) == [target]
+
+
+@pytest.mark.parametrize('metadata', [
+    None, '', '[', 'a: 1', 'rosbag2_bagfile_information: 3',
+    'rosbag2_bagfile_information: {relative_file_paths: []}',
+    'rosbag2_bagfile_information: {relative_file_paths: a.mcap}'])
+def test_a_folder_without_metadata_that_lists_files_is_no_recording(tmp_path, metadata):
+    (tmp_path / 'r').mkdir()
+    (tmp_path / 'r/a.mcap').write_bytes(b'x')
+    if metadata is not None:
+        (tmp_path / 'r/metadata.yaml').write_text(metadata)
+    with pytest.raises(PersemError, match='not a recording'):
+        RecordingWriter(tmp_path / 'r', force=True)
+    assert (tmp_path / 'r/a.mcap').read_bytes() == b'x'
+
+
+def test_what_comes_into_the_folder_while_the_new_one_is_written_stays(tmp_path):
+    target = tmp_path / 'r'
+    with RecordingWriter(target) as out:
+        out.pose('old', STAMP, 'map', T)
+    with pytest.raises(PersemError, match='also holds notes.txt'), \
+            RecordingWriter(target, force=True) as out:
+        out.pose('new', STAMP, 'map', T)
+        (target / 'notes.txt').write_text('mine')
+    assert (target / 'notes.txt').read_text() == 'mine'
+    assert [topic for topic, _, _ in read(target)] == ['/old']
+
+
+@pytest.mark.parametrize('error', [KeyboardInterrupt, OSError(errno.EIO, 'Input/output error')])
+def test_an_error_while_the_new_one_takes_the_place_keeps_the_old_one(
+        tmp_path, monkeypatch, error):
+    """Renaming fails once, when the old recording is out of the way."""
+    target = tmp_path / 'replaced'
+    with RecordingWriter(target) as out:
+        out.pose('old', STAMP, 'map', T)
+    rename, calls = Path.rename, []
+
+    def failing(self, to):
+        calls.append(self)
+        if len(calls) == 2:
+            raise error
+        return rename(self, to)
+
+    monkeypatch.setattr(Path, 'rename', failing)
+    with pytest.raises((KeyboardInterrupt, PersemError)), \
+            RecordingWriter(target, force=True) as out:
+        out.pose('new', STAMP, 'map', T)
+    assert [topic for topic, _, _ in read(target)] == ['/old']
+    assert list(tmp_path.iterdir()) == [target]
+    monkeypatch.undo()
+    with RecordingWriter(target, force=True) as out:        # whatever the folder is called
+        out.pose('new', STAMP, 'map', T)
+    assert [topic for topic, _, _ in read(target)] == ['/new']
 
 
 def test_force_keeps_the_old_recording_when_the_new_one_fails(tmp_path):

@@ -57,7 +57,8 @@ def run(args):
     from tqdm import tqdm
 
     from persem_ros.errors import PersemError
-    from persem_ros.outputs.recording import RecordingWriter, check_target
+    from persem_ros.outputs.recording import RecordingWriter
+    from persem_ros.outputs.target import check_target
     try:
         from persem_ros.simulate.flight import Flight
     except ImportError as error:

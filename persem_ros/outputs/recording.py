@@ -8,6 +8,7 @@ import tempfile
 
 from persem_ros.errors import PersemError
 from persem_ros.outputs.messages import MessageFactory
+from persem_ros.outputs.target import check_target
 from rosbags.interfaces import (
     Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime,
 )
@@ -37,7 +38,8 @@ class RecordingWriter:
     compress : bool
         Zstandard: whole chunks in mcap, single messages in sqlite3.
     force : bool
-        Replace a recording of that name; other folders are never replaced.
+        Replace a recording of that name that holds no other files; other folders are never
+        replaced.
 
     Raises
     ------
@@ -175,13 +177,13 @@ class RecordingWriter:
         """Put the finished folder in its place; the old one goes only when it is there."""
         target = self.path.absolute()
         check_target(target, self._force)
-        old = self._work / 'replaced'
-        if target.exists():
-            target.rename(old)
+        old = self._work / f'{target.name}.replaced'
         try:
+            if target.exists():
+                target.rename(old)
             (self._work / target.name).rename(target)
-        except OSError:
-            if old.exists():
+        except BaseException:       # an interrupt, too: what goes wrong here keeps the old one
+            if old.exists() and not target.exists():
                 old.rename(target)
             raise
 
@@ -191,33 +193,6 @@ class RecordingWriter:
                 self._writer.abort()
         if self._work is not None:
             shutil.rmtree(self._work, ignore_errors=True)
-
-
-def check_target(path, force=False):
-    """
-    Refuse a path that a new recording cannot have.
-
-    Raises
-    ------
-    PersemError
-        For a file; for a folder that is not empty, unless it is a recording and *force* is set.
-
-    """
-    try:
-        if not path.exists():
-            return
-        if not path.is_dir():
-            raise PersemError(f'{path} is a file; give the name of a new folder')
-        names = [entry.name for entry in path.iterdir()]
-    except OSError as error:
-        raise PersemError(f'cannot write {path}: {error.strerror}') from error
-    if not names:
-        return
-    if not force:
-        raise PersemError(f'{path} is not empty; give another name, or --force to replace it')
-    if not any(name == 'metadata.yaml' or name.endswith(('.mcap', '.db3')) for name in names):
-        raise PersemError(f'{path} is not empty and not a recording, --force does not replace it; '
-                          'give another name')
 
 
 def _qos(depth, latched):

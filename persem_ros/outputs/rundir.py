@@ -13,7 +13,7 @@ import time
 
 from persem_ros import __version__
 from persem_ros.errors import PersemError
-from persem_ros.outputs.recording import check_target
+from persem_ros.outputs.target import check_target
 
 FILES = ('map.ply', 'map.persem', 'refined', 'metrics.json', 'config.yaml', 'timing.json',
          'report.html')
