@@ -43,6 +43,7 @@ class MapOutputs:
         self._text = node.create_publisher(String, '~/legend', LATCHED)
         self._thread = ThreadPoolExecutor(1, 'map')
         self._job = None
+        self._alive = node.context.ok
         self._known = Known()
         self.publish_legend()
 
@@ -104,7 +105,8 @@ class MapOutputs:
                 shown = selection(columns, voxel_size, centre, settings)
                 self._map.publish(cloud(stamp, self._frame, self._points(shown, voxel_size)))
         except Exception:       # noqa: B902  whatever it is, mapping goes on
-            log.exception('the map could not be published')
+            if self._alive():   # else ROS was shut down under us
+                log.exception('the map could not be published')
 
     def _points(self, columns, voxel_size):
         return map_points(columns, voxel_size, self._legend())

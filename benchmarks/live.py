@@ -1,0 +1,352 @@
+"""
+The node under load, through real DDS: the table of docs/node.md (`make bench-live`).
+
+Three processes: the node as `ros2 run` starts it, this one, which plays a simulated flight over
+waves, and a listener that takes the refined images and the map. All clocks are CLOCK_MONOTONIC.
+
+"""
+
+import argparse
+import json
+import os
+from pathlib import Path
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+
+import numpy as np
+from persem_ros.core.geometry import transform
+from persem_ros.outputs.messages import MessageFactory
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rosbags.typesys import get_typestore, Stores
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+
+WIDTH, HEIGHT, FOCAL = 640, 480, 525.0
+ALTITUDE = 20.0         # m above the waves' mean
+PERIOD = 50             # frames after which the ground repeats, not the place
+ADVANCE = 1.7           # m from frame to frame
+VOXEL = 0.25            # m
+POSE_RATE = 100         # Hz
+RELIABLE = QoSProfile(depth=50)
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+START = 1_700_000_000_000_000_000
+
+
+def scene():
+    """Return PERIOD pairs of (depth (H, W) float32 in metres, labels (H, W) uint8)."""
+    u, v = np.meshgrid((np.arange(WIDTH) - WIDTH / 2) / FOCAL,
+                       (np.arange(HEIGHT) - HEIGHT / 2) / FOCAL)
+    noise = np.random.default_rng(1)
+    wave = 2 * np.pi / (PERIOD * ADVANCE)
+    images = []
+    for i in range(PERIOD):
+        depth = np.full(u.shape, ALTITUDE)
+        for _ in range(6):      # towards the point where the ray meets the ground
+            x, y = u * depth + i * ADVANCE, v * depth
+            height = 2 * np.sin(4 * wave * x) + np.sin(9 * wave * x) * np.cos(0.7 * y)
+            depth = ALTITUDE - height
+        labels = (1 + (height + 3.5) * 8 / 7).astype(np.uint8)
+        wrong = noise.random((HEIGHT // 16, WIDTH // 16)).repeat(16, 0).repeat(16, 1) < 0.15
+        labels[wrong] = noise.integers(1, 9, np.count_nonzero(wrong))
+        images.append((depth.astype(np.float32), labels))
+    return images
+
+
+def pose_at(seconds, rate):
+    """Return T_map_camera, looking down, at a time of the flight."""
+    T = transform([seconds * rate * ADVANCE, 0.0, ALTITUDE], [1.0, 0.0, 0.0, 0.0])
+    return T
+
+
+class Flight:
+    """
+    Plays the flight on four topics.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+
+    """
+
+    def __init__(self, node):
+        """Prepare all messages."""
+        self._store = get_typestore(Stores.ROS2_JAZZY)
+        self._make = MessageFactory(self._store.types)
+        K = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])
+        pack = self._serialized
+        self._images = [
+            (pack(self._make.image(0, 'camera', depth, '32FC1'), 'sensor_msgs/msg/Image'),
+             pack(self._make.image(0, 'camera', labels, 'mono8'), 'sensor_msgs/msg/Image'))
+            for depth, labels in scene()]
+        self._info = pack(self._make.camera_info(0, 'camera', WIDTH, HEIGHT, K),
+                          'sensor_msgs/msg/CameraInfo')
+        from geometry_msgs.msg import PoseStamped
+        self._out = {topic: node.create_publisher(cls, topic, RELIABLE) for topic, cls in (
+            ('/depth/image', Image), ('/semantic/image', Image),
+            ('/depth/camera_info', CameraInfo), ('/pose', PoseStamped))}
+
+    def wait(self):
+        """Wait until the node listens to every topic."""
+        while not all(out.get_subscription_count() for out in self._out.values()):
+            time.sleep(0.02)
+
+    def play(self, seconds, rate, first=START, until=None):
+        """
+        Play for some time; return {stamp: when the last input of that frame was sent}.
+
+        Parameters
+        ----------
+        seconds : float
+            How long.
+        rate : float
+            Frames per second.
+        first : int
+            The first stamp, ns.
+        until : callable, optional
+            until() ends the flight early.
+
+        """
+        sent, waiting, begin, frames, poses = {}, [], time.monotonic(), 0, -1
+        while time.monotonic() - begin < seconds and not (until and until()):
+            frame_due, pose_due = begin + frames / rate, begin + poses / POSE_RATE
+            due = min(frame_due, pose_due)
+            if due > time.monotonic():
+                time.sleep(due - time.monotonic())
+            if pose_due <= frame_due:
+                at = poses / POSE_RATE
+                stamp = first + round(at * 1e9)
+                name, message = self._make.pose(stamp, 'map', pose_at(at, rate))
+                self._out['/pose'].publish(self._serialized(message, name))
+                waiting = [s for s in waiting if not self._done(s, stamp, sent)]
+                poses += 1
+            else:
+                stamp = first + round(frames / rate * 1e9)
+                depth, labels = self._images[frames % PERIOD]
+                self._out['/depth/camera_info'].publish(stamped(self._info, stamp))
+                self._out['/depth/image'].publish(stamped(depth, stamp))
+                self._out['/semantic/image'].publish(stamped(labels, stamp))
+                sent[stamp] = time.monotonic_ns()
+                waiting.append(stamp)
+                frames += 1
+        return sent
+
+    @staticmethod
+    def _done(stamp, pose, sent):
+        """Whether a pose completes the frame of *stamp*; then it was its last input."""
+        if pose < stamp:
+            return False
+        sent[stamp] = time.monotonic_ns()
+        return True
+
+    def _serialized(self, message, name):
+        return bytes(self._store.serialize_cdr(message, name))
+
+
+def stamped(data, stamp):
+    """Return a serialized message with another header stamp."""
+    return data[:4] + (stamp // 10**9).to_bytes(4, 'little') + \
+        (stamp % 10**9).to_bytes(4, 'little') + data[12:]
+
+
+def listen(path):
+    """Take refined images and map until interrupted; write when each stamp came as JSON."""
+    rclpy.init()
+    node = rclpy.create_node('bench_listener')
+    came, maps = {}, []
+
+    def labels(data):
+        came[int.from_bytes(data[4:8], 'little') * 10**9
+             + int.from_bytes(data[8:12], 'little')] = time.monotonic_ns()
+        if len(came) == 1:
+            Path(f'{path}.first').write_text(str(time.monotonic_ns()))
+    node.create_subscription(Image, '/mapper/labels', labels, RELIABLE, raw=True)
+    node.create_subscription(PointCloud2, '/mapper/map', lambda data: maps.append(len(data)),
+                             LATCHED, raw=True)
+    node.create_subscription(PointCloud2, '/mapper/map_changes',
+                             lambda data: maps.append(len(data)), RELIABLE, raw=True)
+    try:
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    Path(path).write_text(json.dumps({'came': came, 'maps': maps}))
+
+
+class Run:
+    """One start of the node with a listener beside it."""
+
+    def __init__(self, node, flight, settings=()):
+        """Start both."""
+        from diagnostic_msgs.msg import DiagnosticArray
+        self.flight, self._values = flight, {}
+        self._folder = Path(tempfile.mkdtemp())
+        self._subscription = node.create_subscription(DiagnosticArray, '/diagnostics',
+                                                      self._take, 10)
+        self._node = node
+        self._out = self._folder / 'listened'
+        quiet = {'stdout': subprocess.DEVNULL, 'preexec_fn': _interruptible}
+        self._listener = subprocess.Popen([sys.executable, __file__, '--listen', str(self._out)],
+                                          **quiet)
+        options = [word for item in (
+            f'memory.voxel_size:={VOXEL}', 'qos.labels:=reliable', 'qos.depth:=reliable',
+            'qos.camera_info:=reliable', 'qos.pose:=reliable', *settings) for word in ('-p', item)]
+        self.started = time.monotonic_ns()
+        self._mapper = subprocess.Popen(['ros2', 'run', 'persem_ros', 'mapper', '--ros-args',
+                                         *options], start_new_session=True, **quiet)
+
+    def value(self, key):
+        """Return a number of the newest diagnostics."""
+        return float(self._values.get(key, 0))
+
+    def wait(self):
+        """Wait until the node maps."""
+        while self._values.get('message') in (None, 'compiling the kernels'):
+            time.sleep(0.05)
+        self.flight.wait()
+
+    def first_image(self):
+        """Return the seconds from the start to the first refined image, None before it came."""
+        path = Path(f'{self._out}.first')
+        return (int(path.read_text()) - self.started) / 1e9 if path.exists() else None
+
+    def rss(self):
+        """Return the node's resident memory in MB."""
+        pids = subprocess.run(['pgrep', '-g', str(self._mapper.pid)], capture_output=True,
+                              text=True).stdout.split()
+        sizes = [int(re.search(r'VmRSS:\s+(\d+)', Path(f'/proc/{pid}/status').read_text()).group(1))
+                 for pid in pids]
+        return max(sizes) / 1024
+
+    def stop(self):
+        """End both; return what the listener has noted."""
+        os.killpg(self._mapper.pid, signal.SIGINT)
+        self._listener.send_signal(signal.SIGINT)
+        self._mapper.wait(30)
+        self._listener.wait(30)
+        self._node.destroy_subscription(self._subscription)
+        found = json.loads(self._out.read_text())
+        return {int(stamp): at for stamp, at in found['came'].items()}, found['maps']
+
+    def _take(self, array):
+        for status in array.status:
+            if status.name.endswith('mapping'):
+                self._values = {'message': status.message,
+                                **{v.key: v.value for v in status.values}}
+
+
+def _interruptible():
+    """Let SIGINT reach a child of a shell that started us in the background."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def latencies(sent, came):
+    """Return the sorted latencies in ms of the frames that came."""
+    return sorted((came[s] - at) / 1e6 for s, at in sent.items() if s in came)
+
+
+def percentile(values, share):
+    """Return a percentile of sorted values."""
+    return values[min(len(values) - 1, int(share * len(values)))] if values else float('nan')
+
+
+def measure(node, flight, seconds, rate):
+    """Play at a rate; return (row of the table, True where nothing was lost)."""
+    run = Run(node, flight)
+    run.wait()
+    sent = flight.play(seconds, rate)
+    time.sleep(3)
+    dropped, voxels, rss = run.value('dropped'), run.value('voxels'), run.rss()
+    inside = run.value('latency p95 (ms)')
+    refinement = run.value('refinement (s)')
+    came, maps = run.stop()
+    found = latencies(sent, came)
+    # The last frame of a flight may lack the pose after it.
+    lost = len(sent) - len(found) > 1 or dropped > 0
+    row = (f'| {rate:g} | {len(sent)} | {len(found)} | {int(dropped)} | '
+           f'{percentile(found, 0.5):.1f} | {percentile(found, 0.95):.1f} | '
+           f'{percentile(found, 1.0):.1f} | {inside:.1f} | {voxels / 1000:.0f} k | '
+           f'{max(maps, default=0) / 1e6:.1f} | {refinement:.2f} | {rss:.0f} |')
+    return row, not lost
+
+
+def start(node, flight):
+    """Return the seconds from the start of the node to the first refined image."""
+    run = Run(node, flight)
+    flight.play(60, 10, until=run.first_image)
+    seconds = run.first_image()
+    run.stop()
+    return seconds
+
+
+def soak(node, flight, seconds):
+    """Loop a flight of 20 s; yield (seconds, RSS in MB) twice a loop."""
+    run = Run(node, flight, ['memory.max_history:=128'])
+    run.wait()
+    begin = time.monotonic()
+    while time.monotonic() - begin < seconds:
+        flight.play(20, 10)
+        print(f'| {time.monotonic() - begin:.0f} | {run.value("frames"):.0f} | '
+              f'{run.value("observations") / 1e6:.2f} M | {run.value("voxels") / 1e3:.0f} k | '
+              f'{run.value("map bytes") / 1e6:.0f} | {run.rss():.0f} |', flush=True)
+    run.stop()
+
+
+def main():
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__.strip().split('\n')[0])
+    parser.add_argument('--seconds', type=float, default=60, help='length of the flight at 10 Hz')
+    parser.add_argument('--rates', type=float, nargs='*', default=[20, 30, 40],
+                        help='further rates, 20 s each')
+    parser.add_argument('--soak', type=float, default=0, metavar='SECONDS',
+                        help='loop a flight for that long and print the memory instead')
+    parser.add_argument('--listen', help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.listen:
+        listen(args.listen)
+        return
+    rclpy.init()
+    node = rclpy.create_node('bench')
+    spinning = threading.Thread(target=spin, args=(node,))
+    spinning.start()
+    try:
+        tables(node, args)
+    finally:
+        rclpy.try_shutdown()
+        spinning.join()
+
+
+def spin(node):
+    """Take the node's diagnostics until the end."""
+    try:
+        rclpy.spin(node)
+    except ExternalShutdownException:
+        pass
+
+
+def tables(node, args):
+    """Print what the arguments ask for."""
+    flight = Flight(node)
+    print(f'load before: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores\n')
+    if args.soak:
+        print('| s | frames | observations | voxels | map MB | RSS MB |\n|---|---|---|---|---|---|')
+        soak(node, flight, args.soak)
+        return
+    start(node, flight)     # once for the file cache
+    print(f'start to the first refined image: {start(node, flight):.1f} s\n')
+    print('| Hz | sent | refined | dropped | p50 ms | p95 ms | max ms | p95 in the node ms | '
+          'voxels | largest map MB | refinement s | RSS MB |\n'
+          '|---|---|---|---|---|---|---|---|---|---|---|---|')
+    for rate, seconds in [(10, args.seconds), *((rate, 20) for rate in args.rates)]:
+        row, clean = measure(node, flight, seconds, rate)
+        print(row, flush=True)
+        if not clean and rate > 10:
+            break
+
+
+if __name__ == '__main__':
+    main()
