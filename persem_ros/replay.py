@@ -17,6 +17,7 @@ from persem_ros.legend import Legend, load_legend
 from persem_ros.outputs import rundir, store
 from persem_ros.outputs.advice import Advice
 from persem_ros.outputs.cloud import map_points
+from persem_ros.outputs.emptiness import Emptiness
 from persem_ros.outputs.files import write_json, write_text
 from persem_ros.outputs.metrics import Metrics
 from persem_ros.outputs.ply import map_comments, write_ply
@@ -59,12 +60,15 @@ class Replay:
         self.renderer = Renderer(self.pipeline, self.methods)
         self.metrics = Metrics(self.methods)
         self.frames, self.causal = 0, False
+        self._before = self.pipeline.memory.n_observations     # of a map that goes on
+        self._emptiness = Emptiness(config.memory)
 
     def run(self):
         """Build the map, refine it, render every frame from it; return metrics.json's content."""
         with self._read('integrating') as frames:
             for frame in frames:
                 self._integrate(frame)
+        self._check_map()
         self._refine()
         self._write_map()
         # One more at the end: -1 is the number of no voxel, and no region its own.
@@ -94,10 +98,21 @@ class Replay:
                     rendering = self._render(frame, observations)
                     self._measure(frame, rendering)
                     later(refined.frame, frame, rendering.published)
+            self._check_map()
             self._refine()
             self._write_map()
             later(refined.map, self.points, self.pipeline.memory.frames[-1].stamp)
         return self._finish()
+
+    def without_truth(self):
+        """Return why accuracy is unknown, a main clause; '' where it is known."""
+        if not self.recording.has('truth'):
+            return 'the recording holds no truth'
+        if not self.metrics.has_truth:
+            return 'no frame has a true label image of its own'
+        if not any(row['iou'] for row in self.metrics.result()['methods'].values()):
+            return 'no pixel has depth, a label that counts and a truth that counts'
+        return ''
 
     def _read(self, what, **wanted):
         """Give the recording's frames, read ahead, with a progress bar on a terminal."""
@@ -110,7 +125,18 @@ class Replay:
             observations = self.pipeline.add(frame)
         self.frames += 1
         self.advice.frame(frame)
+        if self.pipeline.memory.n_observations == self._before:
+            self._emptiness.frame(frame)
         return observations
+
+    def _check_map(self):
+        """Refuse a recording of which nothing went into the map; log what its voxels are like."""
+        memory = self.pipeline.memory
+        if memory.n_observations == self._before:
+            raise PersemError(f'{self.recording.path}: nothing went into the map, '
+                              f'{self._emptiness.sentence()}')
+        for note in self.advice.about_voxels(memory):
+            log.warning(note)
 
     def _refine(self):
         """Refine the map, and label it by the other methods."""

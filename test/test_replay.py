@@ -163,8 +163,8 @@ def test_one_frame_is_a_recording(tmp_path):
 @pytest.mark.parametrize('values', [
     {},
     {'memory.dynamic_labels': [9], 'render.fill': 'unknown', 'refine.neighbours': 6},
-    {'memory.stride': 3, 'memory.min_pixels': 2, 'refine.method': 'context_history',
-     'refine.neighbours': 18, 'memory.ignore_labels': [1, 255], 'render.fill': 'unknown'},
+    {'memory.stride': 3, 'memory.min_pixels': 2, 'memory.voxel_size': 0.7,
+     'refine.method': 'context_history', 'refine.neighbours': 18, 'memory.ignore_labels': [1, 255], 'render.fill': 'unknown'},
     {'map.origin': [0.31, -0.2, 0.77], 'memory.max_depth': 2.06, 'refine.min_observations': 5,
      'refine.method': 'probabilistic', 'memory.voxel_size': 0.4}])
 def test_refined_images_and_metrics_are_those_of_the_reference(recording, tmp_path, values):

@@ -189,6 +189,73 @@ def test_what_is_of_use_is_used_and_the_rest_counted(persem, tmp_path, name):
     assert note or not lines
 
 
+def scaled_depth(factor):
+    """Return a change for bad.written that multiplies every depth."""
+    def change(kind, i, message):
+        if kind == 'depth':
+            message.data = (message.data.view('<f4') * np.float32(factor)).view(np.uint8)
+        return message
+    return change
+
+
+EMPTY = {
+    'millimetres': (scaled_depth(1000), [], ['2000 to 2040 m', 'memory.max_depth 200 m',
+                                             'unit', '--set memory.max_depth=2100']),
+    'kilometres': (scaled_depth(0.001), [], ['0.002 to 0.00204 m', '--set memory.min_depth=0.00']),
+    'near and far': (unchanged, ['--set=memory.min_depth=2.5', '--set=memory.max_depth=3'],
+                     ['2 to 2.04 m', 'memory.min_depth 2.5 m', '--set memory.min_depth=2']),
+    'no depth': (scaled_depth(np.nan), [], ['no pixel has a depth']),
+    'ignored': (unchanged, ['--set=memory.ignore_labels=1,2', '--set=memory.dynamic_labels=3,4'],
+                ['ids are 1, 2, 3, 4,', 'memory.ignore_labels [1, 2]',
+                 'memory.dynamic_labels [3, 4]']),
+    'too few pixels': (unchanged, ['--set=memory.min_pixels=300'], ['memory.min_pixels 300']),
+}
+
+
+@pytest.mark.parametrize('causal', [(), ('--causal',)], ids=['', 'causal'])
+@pytest.mark.parametrize('name', EMPTY)
+def test_a_recording_of_which_nothing_goes_into_the_map(persem, tmp_path, name, causal):
+    change, arguments, words = EMPTY[name]
+    bag = bad.written(tmp_path / 'bag', change)
+    nothing_in(refused(persem(bag, *arguments, *causal), 'nothing went into the map', *words))
+
+
+def test_a_map_to_which_nothing_comes_is_no_success(persem, tmp_path):
+    bag = bad.written(tmp_path / 'bag', unchanged)
+    assert persem(bag, out=tmp_path / 'first')[0] == 0
+    far = bad.written(tmp_path / 'far', scaled_depth(1000))
+    nothing_in(refused(persem(far, f'--set=map.path={tmp_path / "first" / "map.persem"}'),
+                       'nothing went into the map'))
+
+
+def sweep_of(path, frames, step, scale=1.0):
+    """Write a flight along a wall 2 m ahead, *step* metres a frame, focal length times *scale*."""
+    with RecordingWriter(path) as out:
+        for i in range(frames):
+            pose = np.eye(4)
+            pose[0, 3] = step * i
+            out.pose('pose', bags.stamp(i), 'map', pose)
+            out.camera_info('depth/camera_info', bags.stamp(i), 'camera', bags.WIDTH,
+                            bags.HEIGHT, np.diag([scale, scale, 1.0]) @ bags.K)
+            out.image('depth/image', bags.stamp(i), 'camera', bags.depth(0), '32FC1')
+            out.image('semantic/image', bags.stamp(i), 'camera', bags.labels(i), 'mono16')
+    return path
+
+
+@pytest.mark.parametrize('frames, step, scale, said', [
+    (12, 0.1, 1.0, ''), (12, 0.0, 10.0, ''),
+    (12, 0.1, 30.0, 'spans about 150 pixels at the median depth of 2 m'),
+    (12, 5.0, 1.0, 'hardly any voxel was seen twice: 1.0 observations per voxel in 12 frames'),
+    (8, 5.0, 1.0, '')])
+def test_voxels_that_do_not_suit_are_spoken_of(persem, tmp_path, frames, step, scale, said):
+    status, lines, _ = persem(sweep_of(tmp_path / 'bag', frames, step, scale))
+    assert status == 0 and len(lines) == bool(said)
+    if said:
+        assert said in lines[0]
+        size = 0.03 if scale > 1 else 1
+        assert f'--set memory.voxel_size={size}' in lines[0]
+
+
 # ---- arguments and settings
 
 

@@ -184,10 +184,24 @@ def test_size(full):
     assert len(full.text) < 1_000_000       # of which three.js is 560 kB
 
 
-def test_a_map_without_voxels(tmp_path):
-    found = run(tmp_path, **{'memory.min_depth': 50.0})
-    assert found.result['voxels'] == 0
-    assert 'The map holds no voxel.' in found.page.text
+@pytest.mark.parametrize('kind', ['no topic', 'no image', 'ignored', 'known'])
+def test_no_truth_is_said_only_where_there_is_none(tmp_path, capsys, kind):
+    def extra(out):
+        for i in range(5) if kind != 'no topic' else ():
+            image = bags.labels(i) if kind == 'known' else np.full((12, 16), 255, np.uint16)
+            out.image('semantic/truth', bags.stamp(i + 0.5 * (kind == 'no image')), 'camera',
+                      image, 'mono16')
+
+    bag = bags.write(tmp_path / 'flight', extra=extra)
+    assert main(['replay', str(bag), '--out', str(tmp_path / 'out')]) == 0
+    said = {'no topic': 'the recording holds no truth', 'known': '',
+            'no image': 'no frame has a true label image of its own',
+            'ignored': 'no pixel has depth, a label that counts and a truth that counts'}[kind]
+    out, text = capsys.readouterr().out, (tmp_path / 'out' / 'report.html').read_text()
+    page = Page(text).text
+    assert ('accuracy unknown' in out) == bool(said) and said in out
+    assert ('Coarser voxels always flicker less' in page) == bool(said)
+    assert said[1:] in page and ('holds no truth' in page) == (kind == 'no topic')
 
 
 def test_the_command_does_the_same_again(full, bare, monkeypatch):
@@ -198,7 +212,7 @@ def test_the_command_does_the_same_again(full, bare, monkeypatch):
         calls = []
         monkeypatch.setattr('persem_ros.replay.replay',
                             lambda *given: calls.append(given) or case.result)
-        monkeypatch.setattr(replay_command, 'summary', lambda result: '')
+        monkeypatch.setattr(replay_command, 'summary', lambda result, missing: '')
         assert main(words[1:]) == 0
         bag, out, config, methods, causal, *_ = calls[0]
         assert (Path(bag), Path(out)) == (case.bag, case.folder) and not causal

@@ -37,7 +37,8 @@ def run(args):
     config = config_file.from_args(args.config, args.set_items)
     methods = [name.strip() for name in args.methods.split(',')] if args.methods else None
     with ExitStack() as stack:
-        watchers = []
+        truth = _Truth()
+        watchers = [truth]
         if args.rerun:
             from persem_ros.outputs.rerun_log import RerunLog
             watchers.append(stack.enter_context(RerunLog(args.rerun)))
@@ -45,12 +46,35 @@ def run(args):
             from persem_ros.outputs.report.figure import FigureWatcher
             watchers.append(FigureWatcher(args.figure))
         result = replay(args.bag, args.out, config, methods, args.causal, args.force, watchers)
-    print(summary(result))
+    print(summary(result, truth.missing))
     print(f'\nresults in {args.out}, to be looked at: {Path(args.out) / "report.html"}')
 
 
-def summary(result):
-    """Return what metrics.json holds as a small table for people."""
+class _Truth:
+    """A watcher of the replay that asks in the end why accuracy is unknown."""
+
+    missing = ''
+
+    def frame(self, replay, frame, rendering):
+        """Pass over a frame."""
+
+    def finish(self, replay, result):
+        """Keep the reason, '' where accuracy is known."""
+        self.missing = replay.without_truth()
+
+
+def summary(result, without_truth=''):
+    """
+    Return what metrics.json holds as a small table for people.
+
+    Parameters
+    ----------
+    result : dict
+        The content of metrics.json.
+    without_truth : str
+        Why accuracy is unknown, '' where it is known.
+
+    """
     frames = result['frames']
     dropped = sum(frames['dropped'].values())
     lines = [f'{frames["used"]} frames used, {dropped} dropped; {result["voxels"]} voxels, '
@@ -62,8 +86,8 @@ def summary(result):
                      f'{_cell(row["flicker"], 11)}')
     if result['truth_flicker'] is not None:
         lines.append(f'{"(truth)":<16}{"":>8}{"":>8}{_cell(result["truth_flicker"], 11)}')
-    else:
-        lines.append('no truth in the recording: accuracy unknown, flicker only')
+    if without_truth:
+        lines.append(f'{without_truth}: accuracy unknown, flicker only')
     return '\n'.join(lines)
 
 

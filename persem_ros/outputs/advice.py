@@ -1,10 +1,11 @@
-"""What a user should know of a run that went through: odd ids, flags of the legend, far places."""
+"""What a user should know of a run that went through: ids, legend, voxel size, far places."""
 
 from collections import Counter
 
 import numpy as np
 
 from persem_ros.frames import MAX_ID
+from persem_ros.outputs.fit import VoxelFit
 
 SIGNED = ('16SC1', '32SC1')     # encodings with ids that are out of range and not "no label"
 COARSE = 0.05                   # share of a voxel to which map points should be exact
@@ -25,11 +26,13 @@ class Advice:
         self._config, self._legend = config, legend
         self._odd = Counter()
         self._far = None
+        self._fit = VoxelFit(config.memory)
 
     def frame(self, frame):
         """Look at one that was integrated, a persem_ros.frames.Frame."""
         if frame.encoding in SIGNED:
             self._count(frame.labels)
+        self._fit.frame(frame)
         position = frame.T_map_camera[:3, 3]
         if self._far is None and self._step(position) > COARSE * self._config.memory.voxel_size:
             self._far = position
@@ -45,6 +48,10 @@ class Advice:
 
         """
         return [*self._about_ids(), *self._about_flags(seen_ids), *self._about_places()]
+
+    def about_voxels(self, memory):
+        """Return what there is to say of the voxels' size: known as soon as the map is whole."""
+        return list(self._fit.sentences(memory))
 
     def _count(self, labels):
         odd = (labels < 0) | (labels > MAX_ID)

@@ -104,6 +104,11 @@ class Metrics:
                        for name in (EVERYWHERE, *REGIONS)}
         return {**self._measured(EVERYWHERE, iou=True), 'regions': regions}
 
+    @property
+    def has_truth(self):
+        """Whether any frame so far had a truth, be it one of ignored ids alone."""
+        return self._has_truth
+
     def flicker_counts(self):
         """
         Return {method: (changed pixels, compared pixels)} so far, 'truth' among the methods.

@@ -40,11 +40,11 @@ def render(replay, result, frames, ids, flicker):
     method = replay.config.refine.method
     columns = replay.pipeline.memory.voxels()
     voxels = dict(zip(*(a.tolist() for a in np.unique(columns['label'], return_counts=True))))
-    legend = replay.legend
+    legend, missing = replay.legend, replay.without_truth()
     context = {
         'name': replay.recording.path.name, 'method': method, 'result': result,
         'headlines': tables.headlines(result, method),
-        'has_truth': any(row['iou'] for row in result['methods'].values()),
+        'has_truth': not missing, 'no_truth': missing[:1].upper() + missing[1:],
         'has_color': any(p['key'] == 'color' for f in frames for p in f['panels']),
         'has_legend': bool(legend.classes), 'legend_title': legend.title,
         'frames': frames, 'strip_classes': _classes(legend, ids),
