@@ -149,6 +149,36 @@ def test_tf_that_is_not_there_and_tf_that_is(tmp_path):
     assert '--set pose.source=tf' in refused(path, {'topics.pose': 'nothing'})
 
 
+def test_one_topic_for_two_kinds_of_images_is_refused(tmp_path):
+    path = written(tmp_path / 'bag', lambda kind, i, message: message)
+    for values, words in (
+            ({'topics.labels': '/depth/image'},
+             ['topics.depth and topics.labels are the same topic, /depth/image (',
+              '--set topics.labels=/semantic/image']),
+            ({'topics.depth': '/semantic/image'},
+             ['the same topic, /semantic/image (--set topics.depth=/depth/image']),
+            ({'topics.truth': '/semantic/image'},
+             ['topics.labels and topics.truth are the same topic'])):
+        text = refused(path, values)
+        for word in words:
+            assert word in text
+
+
+def test_a_topic_that_is_used_is_not_offered_for_something_else(tmp_path):
+    # 16UC1 may be both: depth in millimetres, and ids
+    with RecordingWriter(tmp_path / 'bag') as out:
+        bags.write_images(out, 0)
+        out.pose('pose', bags.stamp(0), 'map', bags.pose(0))
+        for name in ('other', 'depth/raw'):
+            out.image(name, bags.stamp(0), 'camera', bags.labels(0), '16UC1')
+    text = refused(tmp_path / 'bag', {'topics.labels': 'nothing', 'topics.depth': '/depth/raw'})
+    assert '--set topics.labels=/other' in text and 'topics.labels=/depth/raw' not in text
+    text = refused(tmp_path / 'bag', {'topics.depth': 'nothing', 'topics.labels': '/other'})
+    assert '--set topics.depth=/depth/image' in text and 'topics.depth=/other' not in text
+    text = refused(bags.write(tmp_path / 'few'), {'topics.truth': 'nothing'})
+    assert 'no other topic of that kind' in text
+
+
 def test_a_topic_without_messages_is_refused(tmp_path):
     path = written(tmp_path / 'bag', lambda kind, i, msg: None if kind == 'depth' else msg)
     assert 'no depth images' in refused(path)

@@ -70,9 +70,9 @@ class Choice:
             raise PersemError(f'{path}: {"; ".join(self.problems)}; "persem info '
                               f'{quote(str(path))}" lists all topics')
 
-    def candidates(self, kind):
-        """Return the topics that could serve as *kind*, the likely ones first."""
-        fitting = [t for t in self._topics if t.msgtype in self._types(kind)]
+    def candidates(self, kind, taken=()):
+        """Return the topics that could serve as *kind*, the likely ones first; none of *taken*."""
+        fitting = [t for t in self._topics if t.msgtype in self._types(kind) and t not in taken]
         if kind not in ('labels', 'depth', 'truth'):
             return fitting
         known = messages.DEPTH if kind == 'depth' else messages.LABELS
@@ -93,30 +93,40 @@ class Choice:
     def _camera(self, config, camera):
         topics = topics_of(config, camera)
         prefix = f'cameras.{camera}.topics' if camera else 'topics'
-        chosen = {}
-        for kind, what in NEEDED.items():
+        chosen, missing = {}, {}
+        for kind in (*NEEDED, *OPTIONAL):
+            wanted = getattr(topics, kind)
             if kind == 'pose' and config.pose.source == 'tf':
                 if not self.tf:
-                    flags = self._flags(kind, prefix, '--set pose.source=topic')
-                    self.problems.append(f'no /tf, which pose.source=tf needs{flags}')
+                    missing[kind] = 'no /tf, which pose.source=tf needs'
                 continue
-            wanted = getattr(topics, kind)
             try:
                 chosen[kind] = self._find(kind, wanted)
             except LookupError as error:
-                extra = '--set pose.source=tf' if kind == 'pose' and self.tf else ''
-                self.problems.append(f'no {what} on {wanted!r}{error}'
-                                     f'{self._flags(kind, prefix, extra)}')
-        for kind, what in OPTIONAL.items():
-            wanted = getattr(topics, kind)
-            try:
-                chosen[kind] = self._find(kind, wanted)
-            except LookupError as error:
-                # The default may be missing; a name that somebody typed may not.
-                if not wanted.endswith(getattr(Topics(), kind)):
-                    self.problems.append(f'no {what} on {wanted!r}{error}'
-                                         f'{self._flags(kind, prefix)}')
+                # The default of an optional topic may be missing; a name that was typed may not.
+                if kind in NEEDED or not wanted.endswith(getattr(Topics(), kind)):
+                    missing[kind] = f'no {(NEEDED | OPTIONAL)[kind]} on {wanted!r}{error}'
+        # What is offered depends on what the other kinds have, so it comes last.
+        for kind, problem in missing.items():
+            extra = ''
+            if kind == 'pose' and self.tf:
+                extra = '--set pose.source=tf'
+            elif kind == 'pose' and config.pose.source == 'tf':
+                extra = '--set pose.source=topic'
+            flags = self._flags((kind,), prefix, tuple(chosen.values()), extra)
+            self.problems.append(problem + flags)
+        self._refuse_twice(chosen, prefix)
         return chosen
+
+    def _refuse_twice(self, chosen, prefix):
+        """Note the topics that one camera uses for two kinds of images."""
+        kinds = [kind for kind in ('depth', 'labels', 'truth', 'color') if kind in chosen]
+        for i, kind in enumerate(kinds):
+            for other in kinds[:i]:
+                if chosen[kind] == chosen[other]:
+                    flags = self._flags((other, kind), prefix, tuple(chosen.values()))
+                    self.problems.append(f'{prefix}.{other} and {prefix}.{kind} are the same '
+                                         f'topic, {chosen[kind].name}{flags}')
 
     def _types(self, kind):
         if kind == 'pose':
@@ -148,11 +158,13 @@ class Choice:
                 raise LookupError(f', which could be any of {len(below)} topics')
         raise LookupError()
 
-    def _flags(self, kind, prefix, extra=''):
-        """Return ' (--set ... or --set ...)' with the candidates for *kind*."""
-        flags = [f'--set {prefix}.{kind}={t.name}' for t in self.candidates(kind)[:SHOWN]]
+    def _flags(self, kinds, prefix, taken, extra=''):
+        """Return ' (--set ... or --set ...)' with the candidates for *kinds* but those *taken*."""
+        flags = [f'--set {prefix}.{kind}={t.name}' for kind in kinds
+                 for t in self.candidates(kind, taken)[:SHOWN]]
         flags = flags + [extra] if extra else flags
-        return f' ({" or ".join(flags)})' if flags else ' (no topic of that kind is there)'
+        other = 'other ' if any(map(self.candidates, kinds)) else ''
+        return f' ({" or ".join(flags)})' if flags else f' (no {other}topic of that kind is there)'
 
 
 def first_messages(source, names):
