@@ -33,6 +33,8 @@ def combined(results, resamples=intervals.RESAMPLES):
     summaries = {name: summary for name, (summary, _) in results.items()}
     blocks = {name: {key: arrays[key] for key in BLOCK_ARRAYS}
               for name, (_, arrays) in results.items()}
+    drawn = {name: intervals.resampled(one, seed, resamples)
+             for seed, (name, one) in enumerate(blocks.items())}
     bases = [base for base in BASES if base in methods]
     return {
         'methods': methods, 'sequences': summaries,
@@ -41,10 +43,12 @@ def combined(results, resamples=intervals.RESAMPLES):
                   for place in PLACES},
         'interval': {'covered_percent': intervals.COVERED, 'resamples': resamples,
                      'how': 'paired block bootstrap over stretches of consecutive frames'},
-        'differences': {base: intervals.differences(list(blocks.values()), methods, base,
-                                                    resamples) for base in bases},
-        'by_sequence': {name: {base: intervals.differences([one], methods, base, resamples)
-                               for base in bases} for name, one in blocks.items()}}
+        'differences': {base: intervals.differences(
+            list(blocks.values()), methods, base, resamples, list(drawn.values()))
+            for base in bases},
+        'by_sequence': {name: {base: intervals.differences(
+            [one], methods, base, resamples, [drawn[name]]) for base in bases}
+            for name, one in blocks.items()}}
 
 
 def _macro(rows, methods):

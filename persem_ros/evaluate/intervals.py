@@ -16,6 +16,7 @@ from persem_ros.evaluate.measures import measure, MEASURES, number
 RESAMPLES = 2000
 COVERED = 95.0          # percent
 FEWEST = 5              # blocks; fewer say nothing
+NEEDED = ('hits', 'predicted', 'true', 'changed', 'pairs')
 CHUNK = 200             # resamples at a time: bounded memory
 
 
@@ -43,16 +44,15 @@ def resampled(blocks, seed=0, resamples=RESAMPLES):
     if n < FEWEST:
         return np.full((resamples, len(PLACES), n_methods, len(MEASURES)), np.nan)
     draws = np.random.default_rng(seed).multinomial(n, np.full(n, 1.0 / n), resamples)
-    names = ('hits', 'predicted', 'true', 'changed', 'pairs')
     parts = []
     for weights in np.array_split(draws.astype(np.float64), -(-resamples // CHUNK)):
         drawn = {name: (weights @ blocks[name].reshape(n, -1)).reshape(
-            len(weights), *blocks[name].shape[1:]) for name in names}
+            len(weights), *blocks[name].shape[1:]) for name in NEEDED}
         parts.append(measure(**drawn))
     return np.concatenate(parts)
 
 
-def differences(sequences, methods, base, resamples=RESAMPLES):
+def differences(sequences, methods, base, resamples=RESAMPLES, drawn=None):
     """
     Return the macro-averaged gain of each method over *base* with its interval.
 
@@ -66,27 +66,27 @@ def differences(sequences, methods, base, resamples=RESAMPLES):
         One of them.
     resamples : int
         Number of draws.
+    drawn : sequence of ndarray, optional
+        What resampled() returned for each sequence, so that it is computed once for all bases.
 
     Returns
     -------
     dict
         By place, method and measure: value (points; negative is less), low and high (the
-        interval, None where there are too few frames), better and worse (number of sequences
+        interval, None where there are too few frames), rises and falls (number of sequences
         whose value rises or falls).
 
     """
-    point = np.stack([measure(**{name: array.sum(0) for name, array in blocks.items()
-                                 if name in ('hits', 'predicted', 'true', 'changed', 'pairs')})
+    if drawn is None:
+        drawn = [resampled(blocks, seed, resamples) for seed, blocks in enumerate(sequences)]
+    point = np.stack([measure(**{name: blocks[name].sum(0) for name in NEEDED})
                       for blocks in sequences])         # (sequences, places, methods, 3)
     b = list(methods).index(base)
     each = point - point[:, :, b:b + 1]
     known = np.isfinite(each)
-    total = np.zeros((resamples, *each.shape[1:]))
-    for seed, blocks in enumerate(sequences):
-        drawn = resampled(blocks, seed, resamples)
-        total += np.where(known[seed], drawn - drawn[:, :, b:b + 1], 0.0)
+    total = sum(np.where(known[k], one - one[:, :, b:b + 1], 0.0) for k, one in enumerate(drawn))
     with np.errstate(invalid='ignore'):
-        total /= known.sum(0)
+        total = total / known.sum(0)
         value = np.where(known, each, 0.0).sum(0) / known.sum(0)
     edge = (100.0 - COVERED) / 2
     low, high = np.percentile(total, [edge, 100.0 - edge], axis=0)
