@@ -25,8 +25,8 @@ def ground(i):
     return image
 
 
-def write_synthetic(root, depth=None, frames=4, doubled=False, turn=0.0):
-    """Write seq3: 30 m above ground, north a metre and *turn* degrees an image, as AirSim."""
+def write_synthetic(root, depth=None, frames=4, doubled=False, turn=0.0, sink=0.0):
+    """Write seq3: 30 m above ground, *turn* degrees, north a metre and down *sink* an image."""
     folder = root / 'seq3' / 'seq3' if doubled else root / 'seq3'
     for name in ('color', 'labels', 'depth'):
         (folder / name).mkdir(parents=True)
@@ -41,7 +41,7 @@ def write_synthetic(root, depth=None, frames=4, doubled=False, turn=0.0):
         else:
             cv2.imwrite(str(folder / 'depth' / f'img_{i}.png'), depth(array))
         half = np.radians(turn * i) / 2
-        numbers = i, float(i), 5.0, -HIGH, np.cos(half), 0.0, 0.0, np.sin(half)
+        numbers = i, float(i), 5.0, sink * i - HIGH, np.cos(half), 0.0, 0.0, np.sin(half)
         lines.append('\t'.join(['drone', *map(str, numbers), f'img_{i}.png']))
     (folder / 'airsim_rec.txt').write_text('\n'.join(lines) + '\n')
     return folder
@@ -159,6 +159,20 @@ def test_axes_are_checked(tmp_path, caplog):
     np.testing.assert_allclose(points[..., 2], 0, atol=1e-4)
     assert cli.main([*words, str(tmp_path / 'wrong'), '--axes', 'opencv']) == 0
     assert 'look wrong' in caplog.text and '--axes ned' in caplog.text
+
+
+@pytest.mark.parametrize('unit, said', [('m', ''), ('cm', '--depth-unit m'),
+                                        ('0.1', '--depth-unit m')])
+def test_a_wrong_depth_unit_is_noticed(tmp_path, caplog, unit, said):
+    """Going down tells it: the ground comes nearer by what the poses say."""
+    folder = write_synthetic(tmp_path, frames=10, sink=1.0)
+    for i in range(10):
+        np.save(folder / 'depth' / f'img_{i}.npy', np.full((HEIGHT, WIDTH), HIGH - i))
+    assert cli.main(['convert', 'forest', str(tmp_path), 'seq3', str(tmp_path / 'out'), '--pitch',
+                     '-90', '--depth-unit', unit]) == 0
+    warnings = [r.getMessage() for r in caplog.records if 'looks wrong' in r.getMessage()]
+    assert len(warnings) == bool(said)
+    assert not said or warnings[0].endswith(said)
 
 
 def test_refusals(tmp_path, capsys):

@@ -2,10 +2,12 @@
 
 import logging
 from pathlib import Path
+import re
 
 import cv2
 import numpy as np
-from persem_ros.convert import axes, stamps
+from persem_ros.convert import axes, stamps, units
+from persem_ros.convert.checks import check_up
 from persem_ros.convert.files import files_of
 from persem_ros.convert.frames import convert_frames
 from persem_ros.convert.frames_layout import FramesOptions
@@ -242,7 +244,7 @@ def test_wrong_axes_are_noticed_and_the_flag_is_named(seven, tmp_path, caplog, c
 
 def test_right_axes_are_not_warned_about(seven, tmp_path, caplog):
     caplog.set_level(logging.INFO)
-    convert_frames(seven, tmp_path / 'out')
+    convert_frames(seven, tmp_path / 'out', FramesOptions(world='opencv'))
     assert 'the camera axes agree' in caplog.text
     assert not [r for r in caplog.records if r.levelno >= logging.WARNING]
     caplog.clear()
@@ -267,6 +269,98 @@ def test_depth_that_fits_nothing_is_warned_about(seven, tmp_path, caplog):
         cv2.imwrite(str(seven / f'frame-{5 * i:06d}.depth.png'), noise)
     convert_frames(seven, tmp_path / 'out')
     assert 'do not agree with each other under any camera axes' in caplog.text
+
+
+@pytest.mark.parametrize('unit', ['m', 'cm', '10000', '100000', '1000000'])
+def test_a_wrong_depth_unit_is_noticed_and_the_right_one_named(seven, tmp_path, caplog, unit):
+    """Ten and more times too far, where little moves, and too near, where all leaves the image."""
+    convert_frames(seven, tmp_path / 'out', FramesOptions(depth_unit=unit, world='opencv'))
+    warning, = (r.getMessage() for r in caplog.records if r.levelno == logging.WARNING)
+    assert re.fullmatch(r'the depth unit looks wrong: depth of one frame meets that of another '
+                        r'(nowhere )?within \d+\.\d %, but within \d\.\d % with --depth-unit mm',
+                        warning)
+    before, after = map(float, re.findall(r'([0-9.]+) %', warning))
+    assert after < 0.8 * before
+
+
+@pytest.mark.parametrize('factor, name', [(100.0, 'cm'), (1.0, 'm'), (5000.0, '5000')])
+def test_the_better_unit_has_its_name(factor, name, caplog):
+    poses = {i: place(i) for i in range(12)}
+    depths = {i: 10 * room(T)[0] for i, T in poses.items()}
+    assert units.check_unit(depths, poses, K, factor / 10)[0] == 0.1
+    assert caplog.text.rstrip().endswith(f'--depth-unit {name}')
+
+
+def test_a_unit_that_the_motion_does_not_tell_is_not_warned_about(caplog):
+    """A flat wall that the camera moves along, a camera that turns, a single frame, nothing."""
+    flat = {i: np.full((HEIGHT, WIDTH), 20.0) for i in range(12)}
+    along = {i: transform([0.8 * i, 0, 0], [0, 0, 0, 1]) for i in range(12)}
+    assert units.check_unit(flat, along, K, 1000.0)[0] == 1.0
+    turning = {i: transform([0, 0, 0], [0, np.sin(i / 20), 0, np.cos(i / 20)]) for i in range(12)}
+    seen = {i: room(T)[0] for i, T in turning.items()}
+    assert units.check_unit(seen, turning, K, 1000.0)[0] == 1.0
+    assert units.check_unit({0: flat[0]}, along, K, 1000.0)[0] == 1.0
+    assert units.check_unit({}, {}, K, 1000.0)[0] == 1.0
+    assert not caplog.records
+
+
+@pytest.mark.parametrize('unit, scale', [('', 1), ('cm', 10)])
+def test_the_depth_range_is_said(seven, tmp_path, unit, scale):
+    summary = convert_frames(seven, tmp_path / 'out', FramesOptions(depth_unit=unit))
+    depths = np.concatenate([room(place(i))[0].ravel()[2:] for i in range(12)])
+    low, high, middle = (float(x) for x in re.search(
+        r'; depth (\S+) to (\S+) m, median (\S+) m$', summary).groups())
+    assert np.allclose([low, high, middle], np.array(
+        [depths.min(), depths.max(), np.median(depths)]) * scale, rtol=0.06)
+
+
+def test_no_depth_at_all_is_said(seven, tmp_path):
+    for path in seven.glob('*.depth.png'):
+        cv2.imwrite(str(path), np.zeros((HEIGHT, WIDTH), np.uint16))
+    assert convert_frames(seven, tmp_path / 'out').endswith('; no depth was measured')
+
+
+Z_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])      # of the room, whose y is down
+
+
+@pytest.mark.parametrize('turn, world, said', [
+    (np.eye(3), 'enu', 'up is -y of the world, not z: the map from above would look sideways; '
+                       '--world opencv turns it'),
+    (np.diag([1.0, -1, -1]) @ Z_UP, 'enu', 'up is -z of the world, not z: .*; --world ned turns'),
+    (Z_UP, 'enu', ''), (np.eye(3), 'opencv', ''),
+    (np.diag([1.0, -1, -1]) @ Z_UP, 'ned', '')])
+def test_a_world_that_is_not_z_up_is_noticed(seven, tmp_path, caplog, turn, world, said):
+    rewrite(seven, lambda T: np.block([[turn @ T[:3, :3], (turn @ T[:3, 3])[:, None]],
+                                       [np.array([0, 0, 0, 1.0])]]))
+    convert_frames(seven, tmp_path / 'out', FramesOptions(world=world))
+    warnings = [r.getMessage() for r in caplog.records if r.levelno == logging.WARNING]
+    assert len(warnings) == bool(said)
+    assert not said or re.match(f"the cameras' {said}", warnings[0])
+
+
+def test_the_world_of_a_camera_is_turned_to_z_up(seven, tmp_path):
+    convert_frames(seven, tmp_path / 'out', FramesOptions(world='opencv'))
+    for i, (_, pose) in enumerate(read(tmp_path / 'out')['/pose']):
+        x, y, z = place(i)[:3, 3]
+        assert np.allclose(matrix(pose.pose)[:3, 3], [x, z, -y], atol=1e-9)
+        assert matrix(pose.pose)[2, 1] < -0.9       # the image's down is down
+
+
+def test_cameras_that_look_down_say_nothing_of_up(caplog):
+    """The image's up is the heading there, level, whatever the world."""
+    down = np.eye(4)
+    down[:3, :3] = [[0, -1, 0], [-1, 0, 0], [0, 0, -1]]
+    assert not check_up([down] * 5)
+    sideways = np.eye(4)
+    sideways[:3, :3] = np.column_stack([[0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+    assert check_up([sideways] * 5)
+    assert caplog.text.rstrip().endswith(
+        "the cameras' up is -y of the world, not z: the map from above would look sideways; "
+        '--world opencv turns it')
+    sideways[:3, :2] *= -1
+    assert check_up([sideways] * 5, 'ned')
+    assert caplog.text.rstrip().endswith('up is x of the world, not -z: the map from above would '
+                                         'look sideways; turn the poses so that z is up')
 
 
 def test_reprojection_error_by_hand():
@@ -556,6 +650,7 @@ def test_refusals_of_files(seven, tmp_path):
             ('frame-000005.label.png', np.zeros((HEIGHT, HEIGHT), np.uint8), 'one aspect ratio'),
             ('frame-000005.truth.png', np.zeros((9, 3), np.uint8), 'one aspect ratio')):
         path, before = broken(name, content)
+        refusal(seven, tmp_path, f'{path.name}.*{text}')
         refusal(seven, tmp_path, f'{path.name}.*{text}', check=False)
         path.write_bytes(before)
     convert_frames(seven, tmp_path / 'out')

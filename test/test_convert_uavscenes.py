@@ -3,6 +3,7 @@
 import json
 import logging
 from pathlib import Path
+import re
 import shutil
 
 import cv2
@@ -400,6 +401,41 @@ def test_the_named_ids_are_those_of_the_legend():
     legend = load_legend('uavscenes')
     assert sorted(NAMED) == sorted(
         item.id for item in legend.classes if not item.name.startswith('un'))
+
+
+def slope(i):
+    """Return the depth of frame i in metres above ground that rises by 0.4 along x."""
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    T = place(i)
+    rays = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones(u.shape)], 2) \
+        @ T[:3, :3].T
+    return (0.4 * T[0, 3] - T[2, 3]) / (rays[..., 2] - 0.4 * rays[..., 0])
+
+
+@pytest.mark.parametrize('unit, median', [
+    ('cm', 20), ('mm', 2), ('m', 2000), ('100000', 0.02)])
+def test_a_wrong_unit_of_the_depth_is_noticed(root, extras, tmp_path, caplog, unit, median):
+    caplog.set_level(logging.INFO)
+    for i in range(0, 21, 5):
+        path = extras / f'depth/{text_of(stamp_of(i))}.png'
+        cv2.imwrite(str(path), np.rint(slope(i) * 100).astype(np.uint16))
+    options = {'predictions': str(extras / 'predictions'), 'depth': str(extras / 'depth')}
+    summary = convert_uavscenes(root, RUN, tmp_path / 'out',
+                                UavscenesOptions(depth_unit=unit, **options))
+    middle = float(re.search(r'; depth \S+ to \S+ m, median (\S+) m$', summary)[1])
+    assert middle == pytest.approx(median, rel=0.3)
+    warnings = [r.getMessage() for r in caplog.records if r.levelno == logging.WARNING]
+    if unit == 'cm':
+        assert not warnings
+        assert 'depth of one frame meets that of another within' in caplog.text
+        return
+    warning, = warnings
+    assert warning.startswith('the depth unit looks wrong')
+    assert warning.endswith('with --depth-unit cm')
+    caplog.clear()
+    convert_uavscenes(root, RUN, tmp_path / 'unchecked',
+                      UavscenesOptions(depth_unit=unit, check=False, **options))
+    assert 'depth' not in caplog.text
 
 
 def test_refusals_of_folders(root, extras, tmp_path):

@@ -1,5 +1,7 @@
 """persem convert: data sets on disk become recordings."""
 
+NO_CHECK = 'do not reproject depth images to check their unit, the axes and the world'
+
 
 def add_parser(subparsers):
     """Add the sub-command with one parser per kind of data set."""
@@ -52,10 +54,10 @@ def _add_frames(kinds):
     meaning.add_argument('--axes', choices=('opencv', 'opengl', 'ned'), default='opencv',
                          help="the camera's axes in the poses: opencv right down forward, opengl "
                               'right up back, ned forward right down (default: %(default)s)')
-    meaning.add_argument('--world', choices=('enu', 'ned'), default='enu',
-                         help="the world's axes: ned is turned to z up (default: %(default)s)")
-    meaning.add_argument('--no-check', action='store_true',
-                         help='do not reproject depth images to check the axes')
+    meaning.add_argument('--world', choices=('enu', 'ned', 'opencv'), default='enu',
+                         help="the world's axes: ned (z down) and opencv (y down, z forward) are "
+                              'turned to z up (default: %(default)s)')
+    meaning.add_argument('--no-check', action='store_true', help=NO_CHECK)
     meaning.add_argument('--legend', metavar='NAME', default='',
                          help='a shipped legend or a YAML file, goes to /semantic/legend')
     _add_writing(parser)
@@ -83,6 +85,8 @@ def _add_uavscenes(kinds):
                         help='of --depth: m, cm, mm or units per metre')
     parser.add_argument('--depth-invalid', metavar='N,N', default='0,65535',
                         help='stored integers without a measurement (default: %(default)s)')
+    parser.add_argument('--no-check', action='store_true',
+                        help='do not reproject images of --depth to check their unit')
     parser.add_argument('--lidar', metavar='N', type=int, default=0,
                         help='depth from the N scans before and after as well (default: 0)')
     parser.add_argument('--calibration', metavar='FILE', default='',
@@ -135,7 +139,7 @@ def _add_forest(kinds):
     meaning.add_argument('--axes', choices=('opencv', 'opengl', 'ned'), default='',
                          help="the camera's axes in the poses (default: ned, AirSim's; opencv "
                               'for metadata)')
-    meaning.add_argument('--world', choices=('enu', 'ned'), default='',
+    meaning.add_argument('--world', choices=('enu', 'ned', 'opencv'), default='',
                          help="the world's axes (default: ned, AirSim's; enu for metadata)")
     meaning.add_argument('--pitch', metavar='DEG', type=float, default=0.0,
                          help='of the camera on the vehicle, whose pose airsim_rec.txt has: -90 '
@@ -146,8 +150,7 @@ def _add_forest(kinds):
                          help='stamp of number 0 (default: %(default)s)')
     meaning.add_argument('--scale', type=float, default=1.0,
                          help='resize all images, for example 0.25 (default: %(default)s)')
-    meaning.add_argument('--no-check', action='store_true',
-                         help='do not reproject depth images to check the axes')
+    meaning.add_argument('--no-check', action='store_true', help=NO_CHECK)
     meaning.add_argument('--legend', metavar='NAME', default='forest',
                          help='ids of the colours; goes to /semantic/legend (default: '
                               '%(default)s)')
@@ -188,7 +191,8 @@ def run_uavscenes(args):
         **{name: getattr(args, name) for name in (
             'interval', 'predictions', 'depth', 'depth_unit', 'lidar', 'calibration', 'camera',
             'scale', 'frames', 'every')},
-        depth_invalid=_integers('--depth-invalid', args.depth_invalid), color=not args.no_color)
+        depth_invalid=_integers('--depth-invalid', args.depth_invalid), color=not args.no_color,
+        check=not args.no_check)
     summary = convert_uavscenes(args.root, args.run_name, args.out, options, _legend(args),
                                 storage=args.storage, compress=args.compress, force=args.force)
     print(f'{args.out}: {summary}')

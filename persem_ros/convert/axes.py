@@ -17,6 +17,7 @@ CAMERA_AXES = {
 WORLD_AXES = {
     'enu': np.eye(3),                                           # z up: as it is
     'ned': np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]]),      # z down: to east, north, up
+    'opencv': np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),   # y down: to right, forward, up
 }
 WORST = 0.1         # relative depth error at which a pixel counts as a miss
 PIXELS = 5000       # looked at per pair
@@ -57,6 +58,23 @@ def reprojection_error(depth_i, depth_j, T_j_i, K):
     """
     Return how badly the depth of frame i, seen from frame j, agrees with that of frame j.
 
+    Parameters as of misses().
+
+    Returns
+    -------
+    ndarray, shape (N,), float64
+        Relative depth error per pixel with a measurement, cut at WORST, which is also what
+        leaves the image; pixels that meet no measurement are left out.
+
+    """
+    error = misses(depth_i, depth_j, T_j_i, K)
+    return np.minimum(error[~np.isnan(error)], WORST)
+
+
+def misses(depth_i, depth_j, T_j_i, K):
+    """
+    Return the relative depth errors of frame i, seen from frame j.
+
     Parameters
     ----------
     depth_i, depth_j : ndarray, shape (H, W), float64
@@ -69,8 +87,8 @@ def reprojection_error(depth_i, depth_j, T_j_i, K):
     Returns
     -------
     ndarray, shape (N,), float64
-        Relative depth error per pixel with a measurement, cut at WORST, which is also what
-        leaves the image; pixels that meet no measurement are left out.
+        Of the pixels of i with a measurement, some PIXELS of them, which ones depends on
+        *depth_i* alone; infinite for what leaves the image, NaN for what meets no measurement.
 
     """
     height, width = depth_i.shape
@@ -85,11 +103,11 @@ def reprojection_error(depth_i, depth_j, T_j_i, K):
         u = np.where(ahead, K[0, 0] * x / z + K[0, 2], -1.0)
         v = np.where(ahead, K[1, 1] * y / z + K[1, 2], -1.0)
     seen = (u > -0.5) & (v > -0.5) & (u < width - 0.5) & (v < height - 0.5)
-    error = np.full(len(d), WORST)
+    error = np.full(len(d), np.inf)
     hit = depth_j[np.rint(v[seen]).astype(int), np.rint(u[seen]).astype(int)]
     miss = np.abs(z[seen] - hit) / np.maximum(hit, 1e-6)
-    error[seen] = np.where(hit > 0, np.minimum(WORST, miss), np.nan)
-    return error[~np.isnan(error)]
+    error[seen] = np.where(hit > 0, miss, np.nan)
+    return error
 
 
 def compare_conventions(depths, poses, K, axes_only=None):

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from persem_ros.convert import axes, forest_poses
+from persem_ros.convert.checks import check_conventions, sampled
 from persem_ros.convert.files import files_of, some
 from persem_ros.convert.forest_colors import ids_of_colors
 from persem_ros.convert.forest_layout import (
@@ -18,7 +19,7 @@ from persem_ros.convert.forest_layout import (
 )
 from persem_ros.convert.images import (
     metres, nearest, parse_unit, read_array, read_color, read_depth, read_labels, same_aspect,
-    scaled_K,
+    scaled_K, units_per_metre,
 )
 from persem_ros.convert.intrinsics import read_intrinsics
 from persem_ros.convert.scene import chosen, report_dropped, SceneWriter
@@ -69,7 +70,7 @@ def convert_forest(root, name, path, options=None, legend=None, **writing):
     writer = RecordingWriter(path, **writing)       # refuse now, not after the reading
     sequence = Sequence(folder_of(root, name), options, legend)
     if options.check:
-        sequence.check_axes()
+        sequence.check()
     with writer as out:
         scene = SceneWriter(out, legend, ((sequence.stamps[k], sequence.pose(k))
                                           for k in sequence.keys))
@@ -112,14 +113,13 @@ class Sequence:
 
     def pose(self, key):
         """Return T_map_camera of a frame."""
-        world = self.options.world or ('ned' if self.airsim else 'enu')
-        return axes.optical_pose(forest_poses.pose_of_image(self.poses, key),
-                                 self.options.direction, self.axes, world)
+        return axes.optical_pose(forest_poses.pose_of_image(self.poses, key), *self.conventions)
 
     @property
-    def axes(self):
-        """Return the camera's axes in the poses."""
-        return self.options.axes or ('ned' if self.airsim else 'opencv')
+    def conventions(self):
+        """Return direction, axes and world of the poses."""
+        return (self.options.direction, self.options.axes or ('ned' if self.airsim else 'opencv'),
+                self.options.world or ('ned' if self.airsim else 'enu'))
 
     def write(self, scene, key):
         """Write the images of one frame."""
@@ -179,16 +179,18 @@ class Sequence:
             depth = depth / np.sqrt(1 + x[None, :] ** 2 + y[:, None] ** 2)
         return depth.astype(np.float32)
 
-    def check_axes(self):
-        """Reproject some depth images under every convention and say what fits."""
-        need = sorted({i for pair in axes.pairs_to_check(len(self.keys)) for i in pair})
-        depths = {i: self.read_depth(self.keys[i]).astype(np.float64) for i in need}
+    def check(self):
+        """Reproject some depth images to see whether unit, axes and world fit."""
+        depths, places = sampled(
+            len(self.keys), lambda i: self.read_depth(self.keys[i]),
+            lambda i: forest_poses.pose_of_image(self.poses, self.keys[i]))
         if not depths:
             return
-        places = {i: forest_poses.pose_of_image(self.poses, self.keys[i]) for i in need}
         shape = next(iter(depths.values())).shape
-        axes.judge(axes.compare_conventions(
-            depths, places, self.K(self.keys[0], shape[::-1])), self.options.direction, self.axes)
+        per_metre = 0 if self.options.depth_coding == 'rgb24' else units_per_metre(
+            self.depth[self.keys[0]], parse_unit(self.options.depth_unit or None))
+        check_conventions(depths, places, self.K(self.keys[0], shape[::-1]), self.conventions,
+                          per_metre)
 
     def _full(self, key):
         """Return the (width, height) of the images that the intrinsics belong to."""

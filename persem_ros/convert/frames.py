@@ -3,11 +3,13 @@
 from pathlib import Path
 
 from persem_ros.convert import axes
+from persem_ros.convert.checks import check_conventions, sampled
 from persem_ros.convert.frames_layout import (
     find_frames, FramesOptions, intrinsics_source, layout_unit,
 )
 from persem_ros.convert.images import (
     metres, parse_unit, read_color, read_depth, read_labels, same_aspect, scaled_K,
+    units_per_metre,
 )
 from persem_ros.convert.intrinsics import read_intrinsics
 from persem_ros.convert.scene import SceneWriter
@@ -54,7 +56,7 @@ def convert_frames(folder, path, options=None, legend=None, **writing):
     camera = read_intrinsics(intrinsics_source(folder, options))
     K = _fitting_K(camera, items[0], unit, options)
     if options.check:
-        _check_axes(items, poses, K, unit, options)
+        _check(items, poses, K, unit, options)
     with writer as out:
         scene = SceneWriter(out, legend, _trajectory(items, poses, options))
         for item in tqdm(items, unit='frame', disable=None):
@@ -91,13 +93,13 @@ def _optical(T, options):
     return axes.optical_pose(T, options.direction, options.axes, options.world)
 
 
-def _check_axes(items, poses, K, unit, options):
-    """Reproject some depth images under every convention and say what fits."""
-    need = sorted({i for pair in axes.pairs_to_check(len(items)) for i in pair})
-    depths = {i: metres(*read_depth(items[i].depth, unit, options.depth_invalid)) for i in need}
-    places = {i: poses.at(items[i].key, items[i].depth_stamp) for i in need}
-    depths = {i: depth for i, depth in depths.items() if places[i] is not None}
-    axes.judge(axes.compare_conventions(depths, places, K), options.direction, options.axes)
+def _check(items, poses, K, unit, options):
+    """Reproject some depth images to see whether unit, axes and world fit."""
+    depths, places = sampled(
+        len(items), lambda i: metres(*read_depth(items[i].depth, unit, options.depth_invalid)),
+        lambda i: poses.at(items[i].key, items[i].depth_stamp))
+    check_conventions(depths, places, K, (options.direction, options.axes, options.world),
+                      units_per_metre(items[0].depth, unit))
 
 
 def _write_frame(scene, item, K, camera, unit, options):

@@ -118,6 +118,11 @@ def read_depth(path, per_metre=None, invalid=(0, 65535)):
     return np.where(bad, 0, array / (per_metre or 1000.0)).astype(np.float32), '32FC1'
 
 
+def units_per_metre(path, per_metre=None):
+    """Return the stored units per metre that read_depth() takes a file to have."""
+    return per_metre or (1.0 if read_array(path).dtype.kind == 'f' else UNITS['mm'])
+
+
 def metres(depth, encoding):
     """Return depth as float64 metres, 0 where there is no measurement."""
     depth = depth / 1000.0 if encoding == '16UC1' else depth.astype(np.float64)

@@ -3,11 +3,14 @@
 from collections import Counter
 import logging
 
+import numpy as np
 from persem_ros.config import Topics
+from persem_ros.convert.images import metres
 from persem_ros.errors import PersemError
 
 LOG = logging.getLogger(__name__)
 MAP, CAMERA = 'map', 'camera'
+KEPT = 500      # depths a frame, for the median
 
 
 class SceneWriter:
@@ -38,6 +41,7 @@ class SceneWriter:
         self.depth_size = None
         self._out, self._topics = out, Topics()
         self._stamps = []
+        self._range, self._kept = (np.inf, -np.inf), []
         self._trajectory = iter(trajectory)
         self._next = next(self._trajectory, None)
         if legend is not None:
@@ -61,6 +65,11 @@ class SceneWriter:
         self.depth_size = width, height
         self._out.camera_info(self._topics.camera_info, stamp, CAMERA, width, height, K, D, model)
         self._image('depth', self._topics.depth, stamp, array, encoding)
+        depth = metres(array, encoding)
+        depth = depth[depth > 0]
+        if depth.size:
+            self._range = (min(self._range[0], depth.min()), max(self._range[1], depth.max()))
+            self._kept.append(depth[::-(-depth.size // KEPT)].astype(np.float32))
 
     def finish(self):
         """Write the poses that are left; return one line on what was written."""
@@ -68,7 +77,17 @@ class SceneWriter:
             self._pose()
         counts = ', '.join(f'{n} {what}' for what, n in self.counts.items())
         seconds = (max(self._stamps) - min(self._stamps)) / 1e9
-        return f'{counts}; {seconds:.3f} s from stamp {min(self._stamps) / 1e9:.3f}'
+        return (f'{counts}; {seconds:.3f} s from stamp {min(self._stamps) / 1e9:.3f}; '
+                f'{self._depth_range()}')
+
+    def _depth_range(self):
+        """Return what the depth was, which shows a wrong unit at a glance."""
+        if not self._kept:
+            return 'no depth was measured'
+        low, high, middle = (
+            np.format_float_positional(value, 2, fractional=False, trim='-')
+            for value in (*self._range, np.median(np.concatenate(self._kept))))
+        return f'depth {low} to {high} m, median {middle} m'
 
     def _image(self, what, topic, stamp, array, encoding):
         while self._next is not None and self._next[0] <= stamp:

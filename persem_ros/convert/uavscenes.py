@@ -5,11 +5,15 @@ import logging
 
 import numpy as np
 from persem_ros.convert import calibration
+from persem_ros.convert.checks import sampled
 from persem_ros.convert.files import some
-from persem_ros.convert.images import nearest, read_color, read_labels, same_aspect, scaled_K
+from persem_ros.convert.images import (
+    metres, nearest, read_color, read_labels, same_aspect, scaled_K,
+)
 from persem_ros.convert.scene import chosen, report_dropped, SceneWriter
 from persem_ros.convert.uavscenes_depth import FolderDepth, LidarDepth
 from persem_ros.convert.uavscenes_layout import find_calibration, find_run, folder_of, images
+from persem_ros.convert.units import check_unit
 from persem_ros.errors import PersemError
 from persem_ros.outputs.recording import RecordingWriter
 from tqdm import tqdm
@@ -45,6 +49,8 @@ class UavscenesOptions:
         Factor on the images' size, up to 1.
     color : bool
         Whether camera images are written.
+    check : bool
+        Whether images of *depth* are reprojected to see that their unit fits.
     frames, every : str, int
         The part of the frames to convert, A:B and every n-th.
 
@@ -60,6 +66,7 @@ class UavscenesOptions:
     camera: str = 'sampleinfos'
     scale: float = 1.0
     color: bool = True
+    check: bool = True
     frames: str = ''
     every: int = 1
 
@@ -102,6 +109,8 @@ def convert_uavscenes(root, name, path, options=None, legend=None, **writing):
     rig = _calibration(root, run, options)
     depth = FolderDepth(options) if options.depth else LidarDepth(run, rig, options)
     keys = chosen(_complete(run, labels, depth), options.frames, options.every)
+    if options.depth and options.check:
+        _check_unit(run, keys, depth, rig, options)
     with writer as out:
         scene = SceneWriter(out, legend, _trajectory(run, keys))
         for key in tqdm(keys, unit='frame', disable=None):
@@ -179,6 +188,26 @@ def _complete(run, labels, depth):
     return keys
 
 
+def _camera(sample, rig, options):
+    """Return (K, D, (width, height)) of a sample, or of the calibration."""
+    if options.camera == 'calibration':
+        return rig.K, rig.D, calibration.SIZE
+    return sample.K, sample.D if np.any(sample.D) else np.zeros(5), sample.size
+
+
+def _check_unit(run, keys, depth, rig, options):
+    """Reproject some depth images to see whether their unit fits."""
+    depths, poses = sampled(len(keys), lambda i: metres(*depth.stored(keys[i])),
+                            lambda i: run.samples[keys[i]].T_map_camera)
+    if depths:
+        K, _, full = _camera(run.samples[keys[0]], rig, options)
+        shape = next(iter(depths.values())).shape
+        factor, error = check_unit(depths, poses, scaled_K(K, full, shape[::-1]),
+                                   depth.units_per_metre(keys[0]))
+        if factor == 1.0 and error == error:        # not NaN: some frames overlap
+            LOG.info('depth of one frame meets that of another within %.1f %%', 100 * error)
+
+
 def _write_frame(scene, run, key, path, depth, rig, options):
     """Write the images of one frame."""
     sample = run.samples[key]
@@ -188,8 +217,7 @@ def _write_frame(scene, run, key, path, depth, rig, options):
         raise PersemError(f'{path}: {full[0]}x{full[1]}, but the poses are of images of '
                           f'{sample.size[0]}x{sample.size[1]}; expected one aspect ratio')
     size = max(1, round(full[0] * options.scale)), max(1, round(full[1] * options.scale))
-    own = (rig.K, rig.D, calibration.SIZE) if options.camera == 'calibration' else \
-        (sample.K, sample.D if np.any(sample.D) else np.zeros(5), sample.size)
+    own = _camera(sample, rig, options)
 
     def K_of(target):
         return scaled_K(own[0], own[2], target)

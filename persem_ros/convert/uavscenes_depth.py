@@ -4,7 +4,9 @@ from collections import OrderedDict
 
 import numpy as np
 from persem_ros.convert import lidar
-from persem_ros.convert.images import nearest, parse_unit, read_array, read_depth, same_aspect
+from persem_ros.convert.images import (
+    nearest, parse_unit, read_array, read_depth, same_aspect, units_per_metre,
+)
 from persem_ros.convert.uavscenes_layout import folder_of, images
 from persem_ros.errors import PersemError
 
@@ -24,9 +26,17 @@ class FolderDepth:
             raise PersemError(f'{first}: integers without a unit; say --depth-unit mm, cm, m or '
                               'the units that make a metre')
 
+    def stored(self, key):
+        """Return (depth, encoding) of a frame in the size of its file."""
+        return read_depth(self.files[key], self._unit, self._options.depth_invalid)
+
+    def units_per_metre(self, key):
+        """Return the stored units per metre."""
+        return units_per_metre(self.files[key], self._unit)
+
     def image(self, key, K_of, D, size):
         """Return (depth, encoding) of a frame, never larger than *size* (width, height)."""
-        depth, encoding = read_depth(self.files[key], self._unit, self._options.depth_invalid)
+        depth, encoding = self.stored(key)
         own = depth.shape[1], depth.shape[0]
         if not same_aspect(own, size):
             raise PersemError(f'{self.files[key]}: {own[0]}x{own[1]}, but the labels are '
