@@ -18,6 +18,7 @@ COMPLETE = 'complete'   # a file beside the compiled kernels, once all of them a
 KERNELS = []            # every compiled function, for warm-up and for the test that counts them
 _pool = None
 _threads = 0
+_own = threading.local()
 
 
 def kernel(function):
@@ -108,6 +109,11 @@ def threads():
     return _threads
 
 
+def work_alone():
+    """Let split() use the calling thread only, from now on: for work that is in no hurry."""
+    _own.alone = True
+
+
 def split(function, n, *arguments, grain=4096):
     """
     Call function(start, stop, *arguments) over slices of range(n), one thread a slice.
@@ -117,7 +123,7 @@ def split(function, n, *arguments, grain=4096):
     process when two Python threads (mapping and refinement) enter it at once.
 
     """
-    parts = min(threads(), -(-n // grain))
+    parts = 1 if getattr(_own, 'alone', False) else min(threads(), -(-n // grain))
     if parts <= 1:
         return [function(0, n, *arguments)] if n else []
     edges = [n * i // parts for i in range(parts + 1)]

@@ -153,18 +153,24 @@ class VoxelMemory:
             (n,) int64.
 
         """
+        return ordered(self.columns())
+
+    def columns(self):
+        """
+        Return what voxels() does, unsorted: the part that only the mapping thread may do.
+
+        One pass over the records, a tenth of what sorting and gathering by column costs.
+
+        """
         block, cell, number = self.listing()
-        index = voxel_index(self.m, block, cell)
-        order = sort_order(index)
-        number = number[order]
-        voxels = self.m.voxels
-        confidence = np.empty(len(number), np.float32)
-        label = voxels['label'][number]
-        split(share, len(number), voxels, self.m.spills, number, label, confidence)
-        return {'voxel': index[order], 'label': label, 'majority': voxels['majority'][number],
-                'confidence': confidence, 'observations': voxels['n'][number],
-                'switches': voxels['switches'][number], 'source': voxels['source'][number],
-                'number': number}
+        n = len(number)
+        columns = {'voxel': np.empty((n, 3), np.int32), 'label': np.empty(n, np.uint16),
+                   'majority': np.empty(n, np.uint16), 'confidence': np.empty(n, np.float32),
+                   'observations': np.empty(n, np.uint32), 'switches': np.empty(n, np.uint32),
+                   'source': np.empty(n, np.uint8)}
+        split(copy_columns, n, self.m.blocks, self.m.voxels, self.m.spills, block, cell, number,
+              *columns.values())
+        return {**columns, 'number': number}
 
     def number(self, voxel):
         """Return the number of one voxel index (i, j, k); refuse one that was never seen."""
@@ -226,34 +232,42 @@ class VoxelMemory:
         return t
 
 
+def ordered(columns):
+    """Return columns of voxels sorted by voxel index."""
+    order = sort_order(columns['voxel'])
+    return {name: column[order] for name, column in columns.items()}
+
+
 @kernel
-def share(start, stop, voxels, spills, number, label, out):
-    """Write p_v of each voxel's label; 0 where the voxel never saw it."""
+def copy_columns(start, stop, blocks, voxels, spills, block, cell, number, index, label, majority,
+                 confidence, observations, switches, source):
+    """Copy each voxel's record to the columns; confidence is p_v of its label, 0 for none."""
     classes = np.empty(65536, np.uint16)
     sums = np.empty(65536)
     for p in range(start, stop):
-        n = read_evidence(voxels[number[p]], spills, classes, sums, 0)
+        corner = blocks[block[p]].index
+        index[p, 0] = corner[0] * 8 + (cell[p] >> 6)
+        index[p, 1] = corner[1] * 8 + (cell[p] >> 3 & 7)
+        index[p, 2] = corner[2] * 8 + (cell[p] & 7)
+        voxel = voxels[number[p]]
+        label[p] = voxel.label
+        majority[p] = voxel.majority
+        observations[p] = voxel.n
+        switches[p] = voxel.switches
+        source[p] = voxel.source
+        n = read_evidence(voxel, spills, classes, sums, 0)
         total, own = 0.0, 0.0
         for k in range(n):
             total += sums[k]
-            if classes[k] == label[p]:
+            if classes[k] == voxel.label:
                 own = sums[k]
-        out[p] = own / total
+        confidence[p] = own / total
 
 
 @kernel
 def evidence_of(voxels, spills, v, classes, sums):
     """Write one voxel's evidence to the front of two arrays; return how much."""
     return read_evidence(voxels[v], spills, classes, sums, 0)
-
-
-def voxel_index(m, block, cell):
-    """Return the voxel indices (n, 3) int32 of (block number, cell) pairs."""
-    index = m.blocks['index'][block] * np.int32(8)
-    index[:, 0] += (cell >> 6).astype(np.int32)
-    index[:, 1] += (cell >> 3 & 7).astype(np.int32)
-    index[:, 2] += (cell & 7).astype(np.int32)
-    return index
 
 
 def sort_order(index):

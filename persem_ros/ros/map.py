@@ -10,6 +10,8 @@ from concurrent.futures import ThreadPoolExecutor
 import logging
 
 import numpy as np
+from persem_ros.core.jit import work_alone
+from persem_ros.core.memory import ordered
 from persem_ros.outputs.cloud import map_points, POINT
 from persem_ros.ros.messages import cloud
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -41,7 +43,7 @@ class MapOutputs:
         self._map = node.create_publisher(PointCloud2, '~/map', LATCHED)
         self._changes = node.create_publisher(PointCloud2, '~/map_changes', QoSProfile(depth=10))
         self._text = node.create_publisher(String, '~/legend', LATCHED)
-        self._thread = ThreadPoolExecutor(1, 'map')
+        self._thread = ThreadPoolExecutor(1, 'map', work_alone)
         self._job = None
         self._alive = node.context.ok
         self._known = Known()
@@ -70,7 +72,7 @@ class MapOutputs:
         wanted : set of str
             'map', 'changes'.
         columns : dict
-            VoxelMemory.voxels().
+            VoxelMemory.columns().
         voxel_size : float
             Metres.
         stamp : int
@@ -94,6 +96,7 @@ class MapOutputs:
 
     def _publish(self, wanted, columns, voxel_size, stamp, centre, settings):
         try:
+            columns = ordered(columns)
             if 'changes' in wanted:
                 changed, gone = self._known.update(columns)
                 points = np.zeros(len(changed['voxel']) + len(gone), POINT)

@@ -1,10 +1,16 @@
 """Refinements beside the mapping: begun and finished by the worker, computed on a thread."""
 
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+import os
+import threading
 import time
 
+from persem_ros.core.jit import work_alone
 from persem_ros.core.refine import abandon, begin, finish
 from persem_ros.errors import PersemError
+
+NICE = 10       # above the priority of the process, where 19 is least
 
 
 class Refiner:
@@ -25,7 +31,7 @@ class Refiner:
     def __init__(self, statistics, wake):
         """Start without a refinement."""
         self._statistics, self._wake = statistics, wake
-        self._thread = ThreadPoolExecutor(1, 'refine')
+        self._thread = ThreadPoolExecutor(1, 'refine', _stand_back)
         self._job = self._result = None
         self._began = time.monotonic()
         self._count = 0
@@ -99,3 +105,10 @@ class Refiner:
             return job.compute()
         finally:
             self._wake()
+
+
+def _stand_back():
+    """Let the computing thread use one core, and that only where mapping does not need it."""
+    work_alone()
+    with suppress(OSError, AttributeError):
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)    # of this thread

@@ -296,5 +296,5 @@ class Worker(threading.Thread):
         self._stale -= due
         if self.memory.frames:
             self._stamp = self.memory.frames[-1].stamp
-        self.map.publish(due, self.memory.voxels(), self.memory.voxel_size, self._stamp,
+        self.map.publish(due, self.memory.columns(), self.memory.voxel_size, self._stamp,
                          self._position - self.memory.origin, self.config.map)
