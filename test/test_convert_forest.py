@@ -185,6 +185,8 @@ def test_refusals(tmp_path, capsys):
     assert 'there are seq3' in refused(name='seq9')
     assert 'no depth files like disp/*.png' in refused('--depth', 'disp/*.png')
     assert 'no poses like t.txt' in refused('--pose', 't.txt')
+    assert 'no label files like l/*.png' in refused('--labels', 'l/*.png')
+    assert 'expected four numbers fx,fy,cx,cy, got two' in refused('--intrinsics', '50,50')
     assert '--fov 200: expected' in refused('--fov', '200')
     assert '--scale 2: expected' in refused('--scale', '2')
     assert 'rgb24 needs an 8-bit colour image' in refused('--depth-coding', 'rgb24')

@@ -610,12 +610,16 @@ def test_broken_intrinsics_files_are_refused(tmp_path, name, content, text):
 
 def test_refusals_of_folders(seven, tmp_path):
     refusal(tmp_path / 'nowhere', tmp_path, 'no such folder')
-    refusal(seven, tmp_path, r'no labels files like x-\*.png; name them with --labels',
+    refusal(seven, tmp_path, r'no label files like x-\*.png; name them with --labels',
             labels='x-*.png')
     refusal(seven, tmp_path, 'no depth files', depth='x-*.png')
     refusal(seven, tmp_path, 'no color files', color='x-*.png')
     refusal(seven, tmp_path, 'no poses like x.txt', pose='x.txt')
     refusal(seven, tmp_path, 'no intrinsics like x.txt', intrinsics='x.txt')
+    for text, count in (('585,585,320', 'three'), ('585,585,320,', 'three'), ('585', 'one'),
+                        ('1,2,3,4,5', 'five'), ('1,2,3,4,5,6,7', '7')):
+        refusal(seven, tmp_path, f'expected four numbers fx,fy,cx,cy, got {count}$',
+                intrinsics=text)
     refusal(seven, tmp_path, 'expected m, cm, mm', depth_unit='feet')
     refusal(seven, tmp_path, "'frame-000000' is not a stamp", stamps='names')
     refusal(seven, tmp_path, 'no frame is left of 12', frames='20:30')

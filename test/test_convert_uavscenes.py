@@ -443,7 +443,8 @@ def test_refusals_of_folders(root, extras, tmp_path):
     refusal(root, tmp_path, "of the run 'AMtown09'; runs there: interval5_AMtown01",
             name='AMtown09')
     refusal(root, tmp_path, "'AMtown01' at interval 1; runs there: interval5_", interval=1)
-    refusal(extras, tmp_path, 'runs there: none')
+    refusal(extras, tmp_path, 'no runs of UAVScenes there; ROOT should hold what the archives '
+            'unpack to, interval5_CAM_LIDAR/interval5_AMtown01/sampleinfos_interpolated.json for')
     refusal(root, tmp_path, '--predictions .*nowhere: no such folder',
             predictions=str(root / 'nowhere'))
     refusal(root, tmp_path, '--predictions .*: no files named after stamps',
@@ -519,6 +520,16 @@ def test_command_line(root, extras, tmp_path, capsys):
     assert cli.main(['convert', 'uavscenes', str(root), RUN]) == 2
     words[4] = str(tmp_path / 'other')
     assert cli.main([*words, '--depth-invalid', 'a']) == 1
+
+
+@pytest.mark.parametrize('below', [
+    '', 'interval5_CAM_LIDAR', f'interval5_CAM_label/interval5_{RUN}',
+    f'interval5_CAM_LIDAR/interval5_{RUN}'])
+def test_frames_of_a_folder_of_uavscenes_name_the_converter(root, tmp_path, capsys, below):
+    assert cli.main(['convert', 'frames', str(root / below), str(tmp_path / 'out')]) == 1
+    assert capsys.readouterr().err == (
+        f'persem: {root / below}: looks like UAVScenes: persem convert uavscenes ROOT RUN OUT\n')
+    assert not (tmp_path / 'out').exists()
 
 
 def test_command_line_of_frames(root, extras, tmp_path, capsys):

@@ -21,7 +21,7 @@ from persem_ros.convert.images import (
     metres, nearest, parse_unit, read_array, read_color, read_depth, read_labels, same_aspect,
     scaled_K, units_per_metre,
 )
-from persem_ros.convert.intrinsics import read_intrinsics
+from persem_ros.convert.intrinsics import is_numbers, read_intrinsics
 from persem_ros.convert.scene import chosen, report_dropped, SceneWriter
 from persem_ros.convert.stamps import stamps_from_names, stamps_from_rate
 from persem_ros.errors import PersemError
@@ -140,7 +140,7 @@ class Sequence:
         """Return the pinhole matrix of a frame for images of *size* (width, height)."""
         if self.options.intrinsics:
             text = self.options.intrinsics
-            found = read_intrinsics(text if text.count(',') == 3 else Path(text))
+            found = read_intrinsics(text if is_numbers(text) else Path(text))
             full = found.size or self._full(key)
             return scaled_K(found.K, full, size)
         if key in self.matrices:

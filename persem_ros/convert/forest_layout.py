@@ -95,7 +95,8 @@ def find(folder, what, given, optional=False):
             return found
     if optional and not given:
         return {}
-    raise PersemError(f'{folder}: no {what} files like {given or " or ".join(LAYOUTS[what])}; '
+    raise PersemError(f'{folder}: no {what.removesuffix("s")} files like '
+                      f'{given or " or ".join(LAYOUTS[what])}; '
                       f"name them with --{what} 'PATTERN'")
 
 

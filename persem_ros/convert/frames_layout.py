@@ -5,11 +5,13 @@ import logging
 from pathlib import Path
 
 from persem_ros.convert.files import canonical, files_of, some
+from persem_ros.convert.intrinsics import is_numbers
 from persem_ros.convert.poses import poses_from_files, poses_from_trajectory
 from persem_ros.convert.scene import chosen, report_dropped
 from persem_ros.convert.stamps import (
     number_of_name, stamp_of_name, stamps_from_file, stamps_from_names, stamps_from_rate,
 )
+from persem_ros.convert.uavscenes_layout import is_uavscenes
 from persem_ros.errors import PersemError
 
 LOG = logging.getLogger(__name__)
@@ -126,7 +128,10 @@ def find_frames(folder, options):
              ('labels', 'depth', 'color', 'truth')}
     for what in ('labels', 'depth'):
         if not files[what]:
-            raise PersemError(f'{folder}: no {what} files like '
+            if is_uavscenes(folder):
+                raise PersemError(f'{folder}: looks like UAVScenes: persem convert uavscenes ROOT '
+                                  'RUN OUT')
+            raise PersemError(f'{folder}: no {what.removesuffix("s")} files like '
                               f'{getattr(options, what) or " or ".join(LAYOUTS[what])}; name them '
                               f"with --{what} 'PATTERN'")
     keys = list(files['labels'])
@@ -276,7 +281,7 @@ def layout_unit(folder, options):
 
 def intrinsics_source(folder, options):
     """Return what read_intrinsics takes: four numbers, or a file."""
-    if options.intrinsics.count(',') == 3:
+    if is_numbers(options.intrinsics):
         return options.intrinsics
     for candidate in [options.intrinsics] if options.intrinsics else LAYOUTS['intrinsics']:
         if (folder / candidate).is_file():

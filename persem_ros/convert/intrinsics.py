@@ -8,6 +8,7 @@ from persem_ros.convert.files import numbers_of, read_lines, read_text
 from persem_ros.errors import PersemError
 import yaml
 
+COUNTS = dict(enumerate(('none', 'one', 'two', 'three', 'four', 'five', 'six')))
 EXPECTED = 'expected 4 numbers (fx fy cx cy), a 3x3 or a 4x4 matrix'
 
 
@@ -51,8 +52,8 @@ def read_intrinsics(source):
         When that is not what it is, or the focal lengths are not positive.
 
     """
-    if isinstance(source, str) and source.count(',') == 3:
-        words, where = source.split(','), f'--intrinsics {source}'
+    if isinstance(source, str) and is_numbers(source):
+        words, where = _words(source), f'--intrinsics {source}'
     elif Path(source).suffix in ('.yaml', '.yml'):
         return _ros_calibration(source)
     else:
@@ -65,6 +66,32 @@ def read_intrinsics(source):
         raise PersemError(f'{where}: {EXPECTED}, got {len(values)} numbers')
     side = 3 if len(values) == 9 else 4
     return Intrinsics(_checked(values.reshape(side, side)[:3, :3], where))
+
+
+def is_numbers(text):
+    """
+    Whether --intrinsics is fx,fy,cx,cy itself, and no file.
+
+    Raises
+    ------
+    PersemError
+        For numbers that are not four.
+
+    """
+    words = _words(text)
+    if len(words) == 4 or not words or Path(text).is_file():
+        return len(words) == 4
+    try:
+        count = len(numbers_of(words, text))
+    except PersemError:
+        return False
+    raise PersemError(f'--intrinsics {text}: expected four numbers fx,fy,cx,cy, got '
+                      f'{COUNTS.get(count, count)}')
+
+
+def _words(text):
+    """Return what stands between commas."""
+    return [word for word in text.split(',') if word.strip()]
 
 
 def _ros_calibration(path):

@@ -89,14 +89,25 @@ def find_run(root, name, interval=None):
         if infos:
             break
     else:
+        runs = _runs(root)
+        if not runs:
+            raise PersemError(f'{root}: no runs of UAVScenes there; ROOT should hold what the '
+                              'archives unpack to, interval5_CAM_LIDAR/interval5_AMtown01/'
+                              f'{INFOS} for example, or the folders interval5_<RUN> themselves')
         raise PersemError(f'{root}: no {INFOS} of the run {name!r}'
                           f'{f" at interval {wanted}" if wanted else ""}; runs there: '
-                          f'{", ".join(_runs(root)) or "none"}')
+                          f'{", ".join(runs)}')
     run = Run(name, n, lidar=_below(root, n, name, f'interval{n}_LIDAR'))
     run.truth = images(_below(root, n, name, f'interval{n}_CAM_label_id'))
     run.color = images(_below(root, n, name, f'interval{n}_CAM'))
     _read_samples(infos, run)
     return run
+
+
+def is_uavscenes(folder):
+    """Whether a folder is ROOT, or a run or an archive below it."""
+    return bool(_runs(Path(folder))) or any(
+        next(Path(folder).glob(name), None) for name in (INFOS, 'interval[15]_*'))
 
 
 def folder_of(flag, text):
