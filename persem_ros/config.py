@@ -10,6 +10,8 @@ METHODS = ('majority', 'unweighted', 'recency', 'consensus', 'probabilistic',
            'trust', 'context', 'history', 'context_history', 'persem')
 IMAGE_METHODS = ('raw2d', 'ema2d')
 QOS = ('best_effort', 'reliable', 'latched')
+ONE = {float: 'a number', int: 'a whole number', bool: 'true or false', str: 'text'}
+MANY = {float: 'numbers', int: 'whole numbers', str: 'texts'}
 _QOS = 'best_effort', ('best_effort matches every publisher; reliable: nothing is lost; latched: '
                        'reliable, and the last message of before is asked for')
 
@@ -318,15 +320,19 @@ def _checked(name, value, default, meta):
         try:
             result = tuple(_checked(name, item, default[0], {}) for item in value)
         except TypeError:
-            raise PersemError(f'{name}: expected a list of {inner.__name__}, got {value!r}') \
-                from None
+            raise PersemError(f'{name}: expected a list of {MANY[inner]}, for example '
+                              f'{list(default)}, got {value!r}') from None
         if name in ('map.origin', 'pose.extrinsic') and len(result) != len(default):
             raise PersemError(f'{name}: expected {len(default)} numbers, got {len(result)}')
         return result or default[:0]
     if kind is float and type(value) is int:
         value = float(value)
     if type(value) is not kind or (kind is float and not math.isfinite(value)):
-        raise PersemError(f'{name}: expected {kind.__name__}, got {value!r}')
+        raise PersemError(f'{name}: expected {_words(kind, default, meta)}, got {value!r}')
+    if name == 'refine.method' and value in IMAGE_METHODS:
+        raise PersemError(f'{name}: {" and ".join(IMAGE_METHODS)} need no map and refine none; '
+                          f"'persem replay' measures them with --methods {value}; expected one "
+                          f'of {", ".join(METHODS)}')
     if meta.get('choices') and value not in meta['choices']:
         raise PersemError(f'{name}: expected one of {", ".join(meta["choices"])}, '
                           f'got {value!r}{nearest(value, meta["choices"])}')
@@ -335,6 +341,14 @@ def _checked(name, value, default, meta):
         unit = f' {meta["unit"]}' if meta.get('unit') else ''
         raise PersemError(f'{name}: expected {low} to {high}{unit}, got {value!r}')
     return value
+
+
+def _words(kind, default, meta):
+    """Return what a value should be, in words: a number (m), for example 0.5."""
+    unit = f' ({meta["unit"]})' if meta.get('unit') else ''
+    if kind in (bool, str):
+        return ONE[kind]
+    return f'{ONE[kind]}{unit}, for example {default!r}'
 
 
 def _check_together(config):

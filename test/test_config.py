@@ -109,7 +109,8 @@ def test_the_named_node_wins_over_the_wildcard(write):
      ['line 4', 'memory.voxel_sise', "did you mean 'memory.voxel_size'"]),
     ('/**:\n  ros__parameters:\n    refine: {method: persen}\n',
      ['line 3', 'refine.method', "did you mean 'persem'"]),
-    ('/**:\n  ros__parameters:\n    memory: {stride: 1.5}\n', ['line 3', 'expected int']),
+    ('/**:\n  ros__parameters:\n    memory: {stride: 1.5}\n',
+     ['line 3', 'expected a whole number (pixels), for example 1, got 1.5']),
     ('/**:\n  ros__parameters:\n    memory: {stride: 1, stride: 2}\n', ['given twice']),
     ('/**:\n  ros__parameters:\n    memory.stride: 1\n    memory: {stride: 2}\n',
      ['line 4', 'given twice, first in line 3']),
@@ -155,9 +156,14 @@ def test_options(item, name, value):
     ('memory.voxel_size', ['expected name=value']),
     ('=3', ['expected name=value']),
     ('voxel_size=3', ["did you mean 'memory.voxel_size'"]),
-    ('memory.voxel_size=small', ['--set memory.voxel_size', 'expected float']),
+    ('memory.voxel_size=5cm', ['--set memory.voxel_size: expected a number (m), for example 0.5, '
+                               "got '5cm'"]),
+    ('refine.eta=high', ["expected a number, for example 0.3, got 'high'"]),
+    ('memory.ignore_labels=sky', ["expected a whole number, for example 255, got 'sky'"]),
+    ('camera.rectified=5', ['expected true or false, got 5']),
+    ('refine.method=raw2d', ['raw2d and ema2d need no map', '--methods raw2d', 'persem']),
     ('memory.voxel_size=-1', ['0.001 to 1000.0 m']),
-    ('memory.voxel_size=.nan', ['expected float']),
+    ('memory.voxel_size=.nan', ['expected a number (m)']),
     ('memory.ignore_labels=[1', ['cannot be read']),
     ('cameras.front.topics.labels=x', ['unknown setting'])])
 def test_bad_options(item, words):
