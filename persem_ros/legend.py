@@ -16,6 +16,7 @@ from persem_ros.frames import MAX_ID, UNKNOWN
 import yaml
 
 LOG = logging.getLogger(__name__)
+GREY = 96, 96, 96       # of ids that the settings ignore
 FIELDS = ('id', 'name', 'color', 'group', 'ignored', 'dynamic')
 
 
@@ -55,12 +56,14 @@ class Legend:
     The classes of a data set, in the order of its file.
 
     A legend without classes is a valid one: every id then has a made-up colour and name.
+    unlabelled holds ids that the settings ignore: grey and called so, unless they are classes.
 
     """
 
     title: str = ''
     classes: tuple = ()
     _warned: list = field(default_factory=list, repr=False)
+    unlabelled: tuple = ()
 
     def __eq__(self, other):
         """Legends are equal when their classes are, whatever they are called."""
@@ -96,6 +99,11 @@ class Legend:
             seen[item.id] = item.name
         return cls(str(content.get('title', '')), classes)
 
+    def ignoring(self, ids):
+        """Return the same legend, to which the *ids* that are no class of it are ignored ones."""
+        return Legend(self.title, self.classes, unlabelled=tuple(
+            c for c in ids if 0 <= c <= UNKNOWN and c not in self.ids))
+
     def to_yaml(self):
         """Return the legend as YAML text, one line a class; from_yaml reads it back."""
         lines = [f'title: {_scalar(self.title)}', 'classes:']
@@ -124,6 +132,8 @@ class Legend:
     def name(self, label):
         """Return the name of a class id, 'class 7' for an id that the legend does not know."""
         item = self._by_id.get(int(label))
+        if item is None and int(label) in self.unlabelled:
+            return 'ignored'
         return item.name if item else f'class {int(label)}'
 
     def groups(self):
@@ -183,6 +193,7 @@ class Legend:
         """Red, green, blue and "known" of every id as one uint32, shape (65536,)."""
         table = np.zeros((UNKNOWN + 1, 4), np.uint8)
         table[:, :3] = made_up_colors(np.arange(UNKNOWN + 1))
+        table[list(self.unlabelled)] = *GREY, 1
         table[UNKNOWN] = 0, 0, 0, 1
         for item in self.classes:
             table[item.id] = *item.color, 1

@@ -203,7 +203,8 @@ def replay(path, out, config, methods=None, causal=False, force=False, watchers=
     config : persem_ros.config.Config
         All settings.
     methods : sequence of str, optional
-        What is measured besides refine.method; raw2d and majority by default.
+        What is measured besides refine.method, ('all',) for everything; raw2d and majority by
+        default.
     causal : bool
         Render each frame from the map as it stood then.
     force : bool
@@ -245,20 +246,24 @@ def chosen_methods(methods, config):
     """Return the methods to be measured, refine.method among them; refuse unknown ones."""
     known = IMAGE_METHODS + METHODS
     methods = list(methods or ('raw2d', 'majority', config.refine.method))
+    if methods == ['all']:
+        methods = list(known)
     for name in methods:
         if name not in known:
-            raise PersemError(f'unknown method {name!r}{nearest(name, known)}; expected some of '
-                              f'{", ".join(known)}')
+            raise PersemError(f'unknown method {name!r}{nearest(name, known)}; expected all, or '
+                              f'some of {", ".join(known)}')
     return tuple(dict.fromkeys(methods + [config.refine.method]))
 
 
 def chosen_legend(config, recording):
     """Return the legend of labels.legend, else the recording's, else one of made-up colours."""
     if config.labels.legend:
-        return load_legend(config.labels.legend)
-    if recording.legend_text:
-        return Legend.from_yaml(recording.legend_text, "the recording's legend")
-    return Legend()
+        legend = load_legend(config.labels.legend)
+    elif recording.legend_text:
+        legend = Legend.from_yaml(recording.legend_text, "the recording's legend")
+    else:
+        legend = Legend()
+    return legend.ignoring(config.memory.ignore_labels)
 
 
 def start_map(config):

@@ -75,6 +75,20 @@ def test_unknown_ids_warn_once_and_differ(caplog):
     assert len(messages) == 1 and '2, 3, 5, 6, 7, 8' in messages[0]
 
 
+@pytest.mark.parametrize('text', ['', SMALL])
+def test_ids_that_the_settings_ignore_are_grey_and_called_so(caplog, text):
+    legend = (Legend.from_yaml(text) if text else Legend()).ignoring((0, 4, 65535, -1, 65600))
+    with caplog.at_level(logging.WARNING):
+        first = legend.colors(np.array([0, 65535], np.uint16)).tolist()
+    assert first == [[96, 96, 96], [0, 0, 0]] and not caplog.records
+    assert legend.name(0) == legend.name(65535) == 'ignored'
+    # What the legend has a name for keeps it.
+    assert legend.name(4) == ('path' if text else 'ignored')
+    assert legend.color(4) == ((10, 20, 31) if text else (96, 96, 96))
+    assert legend.name(2) == 'class 2' and legend.color(2) == Legend().color(2)
+    assert legend.to_yaml() == (Legend.from_yaml(text).to_yaml() if text else '')
+
+
 def test_empty_legend_never_warns(caplog):
     with caplog.at_level(logging.WARNING):
         colors = Legend().colors(np.arange(6, dtype=np.uint8))

@@ -16,6 +16,7 @@ import bags
 import numpy as np
 from persem_ros import config_file, replay as replay_module
 from persem_ros.cli import main
+from persem_ros.config import IMAGE_METHODS, METHODS as VOXEL_METHODS
 from persem_ros.core import jit
 from persem_ros.errors import PersemError
 from persem_ros.frames import pinhole
@@ -157,6 +158,23 @@ def test_one_frame_is_a_recording(tmp_path):
     replays.check_whole(tmp_path / 'out')
 
 
+def test_methods_with_spaces_or_all(monkeypatch):
+    given = []
+    monkeypatch.setattr(replay_module, 'replay', lambda *a: given.append(a[3]) or (1 / 0))
+    for text in (' raw2d , majority,', 'all', ' all '):
+        assert main(['replay', 'bag', '--out', 'x', '--methods', text]) == 1
+    assert given == [['raw2d', 'majority'], ['all'], ['all']]
+    config = config_of()
+    assert set(replay_module.chosen_methods(['all'], config)) == {*IMAGE_METHODS, *VOXEL_METHODS}
+    assert replay_module.chosen_methods([], config) == ('raw2d', 'majority', 'persem')
+
+
+def test_help_names_the_methods(capsys):
+    assert main(['replay', '--help']) == 0
+    words = capsys.readouterr().out.replace(',', ' ').split()
+    assert {*IMAGE_METHODS, *VOXEL_METHODS, 'all:'} <= set(words)
+
+
 # ---- the reference agrees
 
 
@@ -164,7 +182,8 @@ def test_one_frame_is_a_recording(tmp_path):
     {},
     {'memory.dynamic_labels': [9], 'render.fill': 'unknown', 'refine.neighbours': 6},
     {'memory.stride': 3, 'memory.min_pixels': 2, 'memory.voxel_size': 0.7,
-     'refine.method': 'context_history', 'refine.neighbours': 18, 'memory.ignore_labels': [1, 255], 'render.fill': 'unknown'},
+     'refine.method': 'context_history', 'refine.neighbours': 18,
+     'memory.ignore_labels': [1, 255], 'render.fill': 'unknown'},
     {'map.origin': [0.31, -0.2, 0.77], 'memory.max_depth': 2.06, 'refine.min_observations': 5,
      'refine.method': 'probabilistic', 'memory.voxel_size': 0.4}])
 def test_refined_images_and_metrics_are_those_of_the_reference(recording, tmp_path, values):

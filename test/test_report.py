@@ -163,6 +163,18 @@ def test_what_is_missing_is_said(full, bare, causal):
     assert 'as it stood then' in causal.page.text
 
 
+def test_ignored_ids_are_grey_and_called_so(tmp_path):
+    found = run(tmp_path, **{'memory.ignore_labels': [2]})
+    body, = (body for body in found.page.bodies['script'] if body.startswith('[{"color"'))
+    shown = {item['id']: item for item in json.loads(body)}
+    assert shown[2]['name'] == 'ignored' and tuple(shown[2]['color']) == (96, 96, 96)
+    assert shown[1]['name'] == 'class 1' and tuple(shown[1]['color']) == Legend().color(1)
+    rows = tables.legend_rows(Legend().ignoring((2, 255)), {1: 5}, (1, 2))
+    assert [(row['id'], row['name'], row['marks']) for row in rows] == [
+        (1, 'class 1', []), (2, 'ignored', [])]
+    assert re.search(r'2 ignored', found.page.text)
+
+
 def test_panels_and_their_number(full, bare):
     def keys(page):
         return [a['class'].split()[1] for tag, a in page.tags if tag == 'figure']

@@ -1,6 +1,7 @@
 """persem replay: from a recording to a refined map, refined images and metrics."""
 
 from persem_ros.commands import add_settings
+from persem_ros.config import IMAGE_METHODS, METHODS
 
 
 def add_parser(subparsers):
@@ -14,7 +15,9 @@ def add_parser(subparsers):
     parser.add_argument('bag', metavar='BAG', help='a rosbag2 recording: folder, .mcap or .db3')
     parser.add_argument('--out', metavar='DIR', required=True, help='folder of the results')
     parser.add_argument('--methods', metavar='A,B',
-                        help='methods to be measured (default: raw2d,majority and refine.method)')
+                        help=f'methods to be measured, or all: {", ".join(IMAGE_METHODS)} (images '
+                             f'alone, no map) and {", ".join(METHODS)} (default: raw2d,majority '
+                             'and refine.method)')
     parser.add_argument('--causal', action='store_true',
                         help='render each frame from the map as it stood then, as a node does')
     parser.add_argument('--force', action='store_true',
@@ -35,7 +38,7 @@ def run(args):
     from persem_ros import config_file
     from persem_ros.replay import replay
     config = config_file.from_args(args.config, args.set_items)
-    methods = [name.strip() for name in args.methods.split(',')] if args.methods else None
+    methods = [name.strip() for name in (args.methods or '').split(',') if name.strip()]
     with ExitStack() as stack:
         truth = _Truth()
         watchers = [truth]

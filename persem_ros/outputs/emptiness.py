@@ -28,7 +28,7 @@ class Emptiness:
         self._ids = set()
 
     def frame(self, frame):
-        """Look at a frame (persem_ros.frames.Frame) that gave no observation."""
+        """Look at a persem_ros.frames.Frame that gave no observation."""
         settings, labels = self._settings, resampled(frame.labels, frame.depth.shape)
         measured = np.isfinite(frame.depth) & (frame.depth > 0.0)
         if measured.any():

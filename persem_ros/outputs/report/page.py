@@ -57,7 +57,7 @@ def render(replay, result, frames, ids, flicker):
                     for name, row in result['regions'].items()},
         'stages': tables.stages(replay.timing), 'timing': replay.timing,
         'memory': tables.memory_rows(replay.timing, result['voxels']),
-        'legend': tables.legend_rows(legend, voxels),
+        'legend': tables.legend_rows(legend, voxels, ids),
         'changed': tables.changed_settings(replay.config),
         'command': tables.command(replay.recording.path, replay.folder, replay.config,
                                   replay.methods, replay.causal),

@@ -73,9 +73,9 @@ def iou_rows(result, legend):
              'iou': {name: row['iou'].get(str(i)) for name, row in rows.items()}} for i in ids]
 
 
-def legend_rows(legend, voxels):
+def legend_rows(legend, voxels, shown=()):
     """
-    Return the legend: classes that it knows and ids that the map has beside them.
+    Return the legend: classes that it knows, ids that the map has beside them, ignored ones.
 
     Parameters
     ----------
@@ -83,16 +83,20 @@ def legend_rows(legend, voxels):
         In force.
     voxels : dict of int to int
         Number of voxels by label.
+    shown : collection of int
+        Ids that pictures show; the ignored ones among them have a row.
 
     """
     known = {item.id: item for item in legend.classes}
     rows = []
-    for i in sorted({*known, *voxels}, key=_legend_order(legend)):
+    ignored = set(legend.unlabelled) & set(shown)
+    for i in sorted({*known, *voxels, *ignored}, key=_legend_order(legend)):
         item = known.get(i)
         marks = [mark for mark in ('ignored', 'dynamic') if item and getattr(item, mark)]
         rows.append({'id': i, 'name': legend.name(i), 'color': legend.color(i),
                      'group': item.group if item and item.group != item.name else '',
-                     'marks': marks if item else ['not in the legend'] * bool(known),
+                     'marks': marks if item or i in ignored
+                     else ['not in the legend'] * bool(known),
                      'voxels': voxels.get(i, 0)})
     return rows
 
