@@ -4,6 +4,7 @@ from pathlib import Path
 
 import core_worlds as cw
 import numpy as np
+from persem_ros import config_file
 from persem_ros.cli import main
 from persem_ros.config import Config, updated
 from persem_ros.core.refine import refine
@@ -61,7 +62,26 @@ def test_info(capsys, wall):
     assert '4 frames from 1970-01-01 00:00:00 UTC to 1970-01-01 00:00:03 UTC, 1 session' in out
     rows = [line.split() for line in out.splitlines() if line.strip().startswith('1  road')]
     assert rows == [['1', 'road', '10', '100.0%', '9', '1', '0', '0']]
-    assert out.splitlines()[-1] == 'settings other than the defaults: map.origin=(100.0, 0.0, 0.0)'
+    assert out.splitlines()[-1] == 'settings other than the defaults: map.origin=[100.0, 0.0, 0.0]'
+
+
+def test_settings_are_printed_as_set_takes_them(capsys, tmp_path):
+    given = {'memory.ignore_labels': [0], 'camera.rectified': True, 'frames.map': 'odom'}
+    path, _ = saved(tmp_path, **given)
+    last = run(capsys, 'map', 'info', path)[1].splitlines()[-1]
+    for item in ('memory.ignore_labels=[0]', 'camera.rectified=true', 'frames.map=odom'):
+        assert f' {item}' in last
+        name, value = config_file.parse_item(item)
+        assert value == given[name]
+
+
+def test_a_folder_in_place_of_its_map(capsys, wall, tmp_path):
+    status, _, err = run(capsys, 'map', 'info', tmp_path)
+    assert status == 1 and 'is a folder; expected a .persem file' in err
+    wall[0].rename(tmp_path / 'map.persem')
+    for words in (['info', tmp_path], ['query', tmp_path, 1, 2, 3]):
+        status, _, err = run(capsys, 'map', *words)
+        assert status == 1 and f'did you mean {tmp_path}/map.persem?' in err
 
 
 def test_info_of_an_empty_map(capsys, tmp_path):
@@ -87,7 +107,11 @@ def test_export_of_a_part(capsys, wall, tmp_path):
                )[1].startswith('3 of 10')
     assert vertices(out)['y'].tolist() == [1.25, 1.75, 2.25]
     assert vertices(out)['x'].tolist() == [0.25] * 3
-    assert run(capsys, 'map', 'export', wall[0], '--ply', out, '--min-observations', 4,
+    before = out.read_bytes()
+    status, _, err = run(capsys, 'map', 'export', wall[0], '--ply', out)
+    assert status == 1 and f'{out} exists' in err and '--force' in err
+    assert out.read_bytes() == before
+    assert run(capsys, 'map', 'export', wall[0], '--ply', out, '--min-observations', 4, '--force',
                )[1].startswith('9 of 10')
 
 

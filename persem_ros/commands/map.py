@@ -25,6 +25,7 @@ def add_parser(subparsers):
     export_parser.add_argument(
         '--min-observations', type=int, default=1, metavar='N',
         help='only voxels that were observed N times or more often')
+    export_parser.add_argument('--force', action='store_true', help='replace OUT where it exists')
     export_parser.set_defaults(run=export)
 
     query_parser = actions.add_parser(
@@ -43,6 +44,7 @@ def info(args):
     import numpy as np
     from persem_ros.config import settings
     from persem_ros.outputs.store import load
+    from persem_ros.parameter_file import scalar
     stored = load(args.file)
     saved, origin = stored.saved, np.array(stored.saved.origin)
     print(f'{args.file}: {stored.path.stat().st_size / 1e6:.1f} MB, whole')
@@ -58,17 +60,22 @@ def info(args):
     if len(saved.cell):
         print('\n' + _class_table(stored))
     default = {name: value for name, value, _ in settings()}
-    others = [f'{name}={value}' for name, value, _ in settings(stored.config())
-              if default.get(name) != value]
+    # As --set takes them: a text stands there without quotes.
+    others = [f'{name}={value if isinstance(value, str) else scalar(value)}'
+              for name, value, _ in settings(stored.config()) if default.get(name) != value]
     print('\nsettings other than the defaults: ' + (', '.join(others) or 'none'))
 
 
 def export(args):
     """Write the chosen voxels as a PLY file; print how many."""
+    from pathlib import Path
     import numpy as np
     from persem_ros.outputs.cloud import map_points
     from persem_ros.outputs.ply import map_comments, write_ply
     from persem_ros.outputs.store import load
+    if Path(args.ply).is_file() and not args.force:
+        raise PersemError(f'{args.ply} exists; give another name with --ply, or --force to '
+                          'replace it')
     stored = load(args.file)
     memory = stored.memory()
     columns = memory.voxels()

@@ -175,6 +175,10 @@ def _check_magic(path):
     try:
         with open(path, 'rb') as file:
             magic = file.read(16)
+    except IsADirectoryError:
+        inside = path / 'map.persem'
+        what = f'did you mean {inside}?' if inside.is_file() else EXPECTED
+        raise PersemError(f'{path}: is a folder; {what}') from None
     except OSError as error:
         raise PersemError(f'{path}: cannot be read ({error.strerror}); {EXPECTED}') from None
     if magic != b'SQLite format 3\0':
