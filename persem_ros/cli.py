@@ -8,6 +8,7 @@ import os
 import sys
 
 from persem_ros import __version__
+from persem_ros.config import nearest, settings
 from persem_ros.errors import PersemError
 
 COMMANDS = ('simulate', 'convert', 'info', 'replay', 'evaluate', 'sweep', 'compare', 'config',
@@ -42,7 +43,7 @@ def main(argv=None):
 def _status(argv, debug):
     """Run *argv* and return the exit status; everything that goes wrong ends here."""
     try:
-        args = _parser(argv).parse_args(argv)
+        args = _parsed(argv)
         status = args.run(args)
         sys.stdout.flush()
         return DONE if status is None else status
@@ -68,9 +69,44 @@ def _status(argv, debug):
                        'rerun with --debug for the traceback', debug)
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser that names the nearest choice, for example of a sub-command, if one is wrong."""
+
+    def _check_value(self, action, value):
+        try:
+            super()._check_value(action, value)
+        except argparse.ArgumentError as error:
+            raise argparse.ArgumentError(
+                action, error.message + nearest(value, action.choices)) from None
+
+
+def _parsed(argv):
+    """Return the arguments taken apart; SystemExit where they are none of ours."""
+    parser = _parser(argv)
+    args, strange = parser.parse_known_args(argv)
+    if strange:
+        hint = _as_settings(strange, argv) if hasattr(args, 'set_items') else ''
+        parser.error(f'unrecognized arguments: {" ".join(strange)}{hint}')
+    return args
+
+
+def _as_settings(strange, argv):
+    """Return words with the --set that an option like --voxel-size 0.05 may have meant."""
+    hints = []
+    for option in (word for word in strange if word.startswith('--')):
+        word, equals, value = option.partition('=')
+        tail = word[2:].replace('-', '_')
+        if not equals:
+            value = (argv[argv.index(option) + 1:] or ['--'])[0]
+            value = 'VALUE' if value.startswith('--') else value
+        hints += [f'--set {name}={value}' for name, _, _ in settings()
+                  if tail in (name, name.rpartition('.')[2])]
+    return f'; did you mean {" or ".join(hints)}?' if hints else ''
+
+
 def _parser(argv):
     """Return the parser; only the sub-command that *argv* names is imported, or else all."""
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog='persem', description='Persistent semantic maps from labelled images, depth and '
                                    'poses: from a recording to a refined map.')
     parser.add_argument('--version', action='version', version=f'persem_ros {__version__}')

@@ -67,6 +67,21 @@ def test_usage_is_2(arguments, capsys):
     assert out == '' and 'usage: persem' in err
 
 
+@pytest.mark.parametrize('arguments, hint', [
+    ('replay --voxel-size 0.05 bag --out x', '; did you mean --set memory.voxel_size=0.05?'),
+    ('replay bag --out x --voxel_size=2', '; did you mean --set memory.voxel_size=2?'),
+    ('replay bag --refine.eta 0.1 --out x', '; did you mean --set refine.eta=0.1?'),
+    ('replay bag --rectified --out x', '; did you mean --set camera.rectified=VALUE?'),
+    ('sweep bag --out x --vary a=1 --max-voxels 5',
+     '; did you mean --set memory.max_voxels=5 or --set map.max_voxels=5?'),
+    ('replay bag --out x --no-such 5', 'arguments: --no-such 5'),
+    ('map info file --voxel-size 5', 'arguments: --voxel-size 5'),      # it has no --set
+    ('repaly bag', ", did you mean 'replay'?"), ('map inof x', ", did you mean 'info'?")])
+def test_slips_are_usage_and_the_right_word_is_named(capsys, arguments, hint):
+    assert cli.main(arguments.split()) == 2
+    assert capsys.readouterr().err.endswith(f'{hint}\n')
+
+
 def test_refused_is_1_and_one_line(capsys):
     assert cli.main(['config', '--set', 'memory.voxel_size=0']) == 1
     out, err = capsys.readouterr()
