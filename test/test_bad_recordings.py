@@ -54,6 +54,11 @@ def test_what_is_no_recording(tmp_path):
     assert 'does not exist' in refused(tmp_path / 'nothing')
     (tmp_path / 'folder').mkdir()
     assert 'no recording' in refused(tmp_path / 'folder')
+    assert 'persem convert' not in refused(tmp_path / 'folder')
+    (tmp_path / 'folder' / 'depth').mkdir()
+    (tmp_path / 'folder' / 'depth' / '0.png').touch()
+    assert refused(tmp_path / 'folder').endswith(
+        f'; to make one of its images: persem convert frames {tmp_path / "folder"} OUT')
     (tmp_path / 'a.txt').write_text('hello')
     assert 'no recording' in refused(tmp_path / 'a.txt')
     (tmp_path / 'old.bag').write_text('#ROSBAG V2.0')

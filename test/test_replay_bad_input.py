@@ -262,8 +262,9 @@ def test_voxels_that_do_not_suit_are_spoken_of(persem, tmp_path, frames, step, s
 @pytest.mark.parametrize('arguments, words', [
     (['--set', 'memory.voxelsize=0.2'], ["'memory.voxel_size'", 'did you mean']),
     (['--set', 'voxel_size=0.2'], ["'memory.voxel_size'"]),
-    (['--set', 'memory.voxel_size=huge'], ['memory.voxel_size', 'float', "'huge'"]),
+    (['--set', 'memory.voxel_size=huge'], ['memory.voxel_size', 'a number (m)', "'huge'"]),
     (['--set', 'memory.voxel_size=-1'], ['0.001 to 1000.0 m', '-1']),
+    (['--set', 'refine.method=ema2d'], ['need no map', '--methods ema2d']),
     (['--set', 'refine.method=persen'], ["'persem'", 'did you mean']),
     (['--set', 'render.fill=inputs'], ["'input'"]),
     (['--set', 'memory.voxel_size'], ['name=value']),
@@ -321,6 +322,15 @@ def test_a_file_in_the_way(persem, recording, tmp_path):
     refused(persem(recording, out=tmp_path / 'file'), 'is a file')
     refused(persem(recording, out=tmp_path / 'file' / 'out'), 'cannot write', 'Not a directory')
     assert (tmp_path / 'file').read_text() == 'mine'
+
+
+def test_a_folder_that_cannot_be_made_leaves_no_parents(persem, recording, tmp_path):
+    too_long = 300 * 'x'
+    refused(persem(recording, out=tmp_path / 'a' / 'b' / too_long), 'cannot write')
+    assert not (tmp_path / 'a').exists()
+    (tmp_path / 'a').mkdir()
+    refused(persem(recording, out=tmp_path / 'a' / 'b' / too_long), 'cannot write')
+    assert list((tmp_path / 'a').iterdir()) == []       # it was there before and stays
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason='root may write anywhere')

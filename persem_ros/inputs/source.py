@@ -1,7 +1,9 @@
 """A rosbag2 recording as a stream of raw messages, whatever its storage, name or damage."""
 
 from contextlib import suppress
+from itertools import chain, islice
 from pathlib import Path
+from shlex import quote
 from typing import NamedTuple
 
 from persem_ros.errors import PersemError
@@ -10,6 +12,8 @@ from persem_ros.inputs.decode import Decoder
 from rosbags.interfaces import QosDurability
 from rosbags.rosbag2 import Reader
 
+IMAGES = ('.png', '.jpg', '.jpeg', '.tif', '.tiff', '.pgm', '.npy', '.exr')
+LOOKED_AT = 10_000      # files, to see whether there are images
 SUFFIXES = ('.mcap', '.db3')
 ZSTD = b'\x28\xb5\x2f\xfd'      # a message of a recording with message compression, whose
 #                               metadata.yaml (which would say so) was not given or is lost
@@ -142,7 +146,7 @@ class Source:
             what = 'folder without metadata.yaml, .mcap or .db3 files' if path.is_dir() \
                 else f'file of type {path.suffix!r}'
             raise PersemError(f'{path} is no recording: it is a {what}; expected a rosbag2 '
-                              'folder, .mcap or .db3 file')
+                              f'folder, .mcap or .db3 file{_to_make_one(path)}')
         try:
             reader = Reader(path)
             reader.open()
@@ -193,6 +197,17 @@ class Source:
 
 def _storage(files):
     return 'mcap' if any('.mcap' in file.name for file in files) else 'sqlite3'
+
+
+def _to_make_one(path):
+    """Return what to type where a folder, or one in it, holds images; '' where none does."""
+    if not path.is_dir():
+        return ''
+    with suppress(OSError):
+        files = chain(path.iterdir(), path.glob('*/*'), path.glob('*/*/*'))
+        if any(file.suffix.lower() in IMAGES for file in islice(files, LOOKED_AT)):
+            return f'; to make one of its images: persem convert frames {quote(str(path))} OUT'
+    return ''
 
 
 def _line(error):

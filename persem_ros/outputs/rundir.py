@@ -1,7 +1,7 @@
 """A run is a folder: what lies in it, and that nothing half-written ever does."""
 
 from collections import defaultdict
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import metadata
 import os
 from pathlib import Path
@@ -44,6 +44,7 @@ def prepare(path, force=False, keep=()):
         if path.resolve() in Path(name).resolve().parents and _is_ours(_first(path, name)):
             raise PersemError(f'{name} lies in {path}, whose files this run would replace; give '
                               'another folder with --out')
+    missing = [folder for folder in (path, *path.parents) if not os.path.lexists(folder)]
     try:
         path.mkdir(parents=True, exist_ok=True)
         if any(path.iterdir()) and not force:
@@ -58,6 +59,9 @@ def prepare(path, force=False, keep=()):
     except FileExistsError:
         raise PersemError(f'{path} is a file; give the name of a folder with --out') from None
     except OSError as error:
+        for folder in missing:      # those that were made before it went wrong, deepest first
+            with suppress(OSError):
+                folder.rmdir()
         raise PersemError(f'cannot write to {path}: {error.strerror}') from error
     return path
 
