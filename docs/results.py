@@ -3,7 +3,7 @@ Run the commands behind docs/results.md and put their tables into it.
 
     python docs/results.py WORK [--town RECORDING] [--kitchen RECORDING]
 
-WORK keeps recordings and results: what is finished there is not computed again. The flights are
+TOWN and KITCHEN stand for the two recordings. WORK keeps recordings and results: what is finished there is not computed again. The flights are
 simulated; the other two are left as they stand in the page where no recording is given. The
 sentences between the tables are written by hand: read them again when the tables change.
 
@@ -29,7 +29,7 @@ GAMMA_METHODS = 'raw2d,majority,trust,history,persem'
 def commands():
     """Return the commands as lists of words, {name of the result: words}."""
     two = FLIGHTS[:2]
-    town = ['town', '--labels', 'uavscenes']
+    town = ['TOWN', '--labels', 'uavscenes']
 
     def evaluate(name, *words):
         return name, ['evaluate', *words, '--out', name]
@@ -51,7 +51,7 @@ def commands():
         evaluate('flights-static', *FLIGHTS, '--no-dynamic', '--set',
                  'memory.dynamic_labels=10'),
         evaluate('town-single', *town), evaluate('town-grouped', *town, '--grouped'),
-        evaluate('kitchen-fine', 'kitchen', '--set', 'memory.voxel_size=0.03', '--set',
+        evaluate('kitchen-fine', 'KITCHEN', '--set', 'memory.voxel_size=0.03', '--set',
                  'memory.ignore_labels=0,255,65535'),
         sweep('order', ORDER, *FLIGHTS, *label, methods=in_order),
         sweep('order-town', ORDER, *town, methods=in_order),
@@ -75,7 +75,7 @@ def main():
         parser.add_argument(f'--{name}', metavar='RECORDING', type=Path)
     args = parser.parse_args()
     args.work.mkdir(parents=True, exist_ok=True)
-    found = {name: getattr(args, name) for name in ('town', 'kitchen')}
+    found = {'TOWN': args.town, 'KITCHEN': args.kitchen}
     for name, words in commands().items():
         if name in FLIGHTS + DOWN and (args.work / name).exists():
             continue
