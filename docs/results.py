@@ -3,9 +3,9 @@ Run the commands behind docs/results.md and put their tables into it.
 
     python docs/results.py WORK [--town RECORDING] [--kitchen RECORDING]
 
-TOWN and KITCHEN stand for the two recordings. WORK keeps recordings and results: what is finished there is not computed again. The flights are
-simulated; the other two are left as they stand in the page where no recording is given. The
-sentences between the tables are written by hand: read them again when the tables change.
+TOWN and KITCHEN in the commands stand for the two recordings; without one, its tables stay as they
+are. WORK keeps recordings and results: what is finished there is not computed again. The sentences
+between the tables are written by hand: read them again when the tables change.
 
 """
 
