@@ -416,3 +416,20 @@ def test_options_reach_the_plan():
     words.append('--no-noise')
     assert plan_of(_parser(words).parse_args(words)) == plan.without_errors()
     assert START == 1_700_000_000_000_000_000
+
+
+def test_help_shows_the_defaults(capsys):
+    assert main(['simulate', '--help']) == 0
+    text = ' '.join(capsys.readouterr().out.split())
+    plan = Plan()
+    for words in (
+            f'--frames N images (default: {plan.frames})',
+            f'--rate HZ images per second (default: {plan.rate:g})',
+            f'--height M height of flight (default: {plan.altitude:g})',
+            f'--tilt DEG how far the camera looks below the horizon; 90: straight down (default: '
+            f'{plan.tilt:g})',
+            f'0: exact (default: {plan.depth_errors.scale:g})',
+            f'--size WxH of the images, in pixels (default: {plan.width}x{plan.height})',
+            'storage of the recording (default: mcap)'):
+        assert words in text
+    assert text.count('(default: ') == 15

@@ -1,6 +1,7 @@
 """persem simulate: a recording of a flight over a made-up town and forest."""
 
 import argparse
+from operator import attrgetter
 
 # Option, field of simulate.flight.Plan or of one of its parts, type, unit, help.
 NUMBERS = (
@@ -27,6 +28,21 @@ NUMBERS = (
 )
 
 
+class DefaultsFormatter(argparse.HelpFormatter):
+    """Adds the defaults of the plan to the help of its options, loaded only to be shown."""
+
+    def _get_help_string(self, action):
+        """Return an option's help with its default."""
+        name = {option: name for option, name, *_ in NUMBERS}.get(action.option_strings[-1]
+                                                                  if action.option_strings else '')
+        if name is None and action.dest != 'size':
+            return action.help
+        from persem_ros.simulate.plan import Plan
+        plan = Plan()
+        value = f'{plan.width}x{plan.height}' if name is None else f'{attrgetter(name)(plan):g}'
+        return f'{action.help} (default: {value})'
+
+
 def add_parser(subparsers):
     """Add the sub-command and its options."""
     parser = subparsers.add_parser(
@@ -34,6 +50,7 @@ def add_parser(subparsers):
         description='Writes a rosbag2 recording of an aircraft over a made-up town and forest: '
                     'noisy labels and depth, truth, colour, camera info, poses of the body at '
                     '100 Hz, /tf and the legend. persem replay reads it without further options.',
+        formatter_class=DefaultsFormatter,
         epilog='example: persem simulate flight --frames 300 --seed 7')
     parser.add_argument('out', metavar='OUT', help='folder of the recording')
     for option, _, kind, unit, text in NUMBERS:
