@@ -99,10 +99,7 @@ def _panels(sample, method, legend):
 def _map(width, height, legend, memory):
     """Return the map from above with the camera's path and a scale bar, (height, width, 3)."""
     canvas = np.full((height, width, 3), (20, 24, 29), np.uint8)
-    columns = memory.voxels()
-    if not len(columns['voxel']):
-        return canvas
-    top = maps.top_view(columns, memory.voxel_size, legend)
+    top = maps.top_view(memory.voxels(), memory.voxel_size, legend)
     pixels = top['layers'][0]['pixels']
     rgb = np.where(pixels[..., 3:] > 0, pixels[..., :3], canvas[0, 0])
     factor = min(width / top['width'], height / top['height'])

@@ -93,9 +93,7 @@ def _number(value, digits=0):
 
 
 def _map(replay, columns):
-    """Return the map's pictures and the 3-D view's data; None for a map without voxels."""
-    if not len(columns['voxel']):
-        return {'top': None, 'view': None, 'tracks': [], 'scale_bar': 0}
+    """Return the map's pictures and the 3-D view's data."""
     memory = replay.pipeline.memory
     top = maps.top_view(columns, memory.voxel_size, replay.legend)
     tracks = maps.tracks(memory)
