@@ -22,11 +22,10 @@ from persem_ros.convert.images import (
     scaled_K, units_per_metre,
 )
 from persem_ros.convert.intrinsics import is_numbers, read_intrinsics
-from persem_ros.convert.scene import chosen, report_dropped, SceneWriter
+from persem_ros.convert.scene import check_scale, chosen, report_dropped, write_scene
 from persem_ros.convert.stamps import stamps_from_names, stamps_from_rate
 from persem_ros.errors import PersemError
 from persem_ros.outputs.recording import RecordingWriter
-from tqdm import tqdm
 
 LOG = logging.getLogger(__name__)
 CODED_METRES = 1000.0       # of the largest 24-bit number, as CARLA packs depth
@@ -49,34 +48,19 @@ def convert_forest(root, name, path, options=None, legend=None, **writing):
     legend : Legend
         Its colours are those of the label images.
     **writing
-        storage, compress and force of RecordingWriter.
-
-    Returns
-    -------
-    str
-        One line that says what was written.
-
-    Raises
-    ------
-    PersemError
-        When something is missing, does not fit together or cannot be read.
+        As in convert_frames(), like what is returned and raised.
 
     """
     options = options or ForestOptions()
-    if not 0 < options.scale <= 1:
-        raise PersemError(f'--scale {options.scale:g}: expected more than 0 and at most 1')
+    check_scale(options.scale)
     if not 1 <= options.fov <= 170:
         raise PersemError(f'--fov {options.fov:g}: expected 1 to 170 degrees')
     writer = RecordingWriter(path, **writing)       # refuse now, not after the reading
     sequence = Sequence(folder_of(root, name), options, legend)
     if options.check:
         sequence.check()
-    with writer as out:
-        scene = SceneWriter(out, legend, ((sequence.stamps[k], sequence.pose(k))
-                                          for k in sequence.keys))
-        for key in tqdm(sequence.keys, unit='frame', disable=None):
-            sequence.write(scene, key)
-        return scene.finish()
+    trajectory = ((sequence.stamps[key], sequence.pose(key)) for key in sequence.keys)
+    return write_scene(writer, legend, trajectory, sequence.keys, sequence.write)
 
 
 class Sequence:

@@ -12,10 +12,9 @@ from persem_ros.convert.images import (
     units_per_metre,
 )
 from persem_ros.convert.intrinsics import read_intrinsics
-from persem_ros.convert.scene import SceneWriter
+from persem_ros.convert.scene import write_scene
 from persem_ros.errors import PersemError
 from persem_ros.outputs.recording import RecordingWriter
-from tqdm import tqdm
 
 
 def convert_frames(folder, path, options=None, legend=None, **writing):
@@ -57,11 +56,9 @@ def convert_frames(folder, path, options=None, legend=None, **writing):
     K = _fitting_K(camera, items[0], unit, options)
     if options.check:
         _check(items, poses, K, unit, options)
-    with writer as out:
-        scene = SceneWriter(out, legend, _trajectory(items, poses, options))
-        for item in tqdm(items, unit='frame', disable=None):
-            _write_frame(scene, item, K, camera, unit, options)
-        return scene.finish()
+    return write_scene(
+        writer, legend, _trajectory(items, poses, options), items,
+        lambda scene, item: _write_frame(scene, item, K, camera, unit, options))
 
 
 def _trajectory(items, poses, options):

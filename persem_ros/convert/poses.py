@@ -39,6 +39,13 @@ class Poses:
     matrices: list = field(default_factory=list)
     lost: list = field(default_factory=list)
 
+    def add(self, key, T):
+        """Take the pose of a frame, None for a lost one."""
+        if T is None:
+            self.lost.append(key)
+        else:
+            self.by_key[key] = T
+
     def at(self, key, stamp):
         """Return the pose of a frame, interpolated in a trajectory; None where there is none."""
         if not self.stamps:
@@ -110,10 +117,7 @@ def poses_from_files(files):
     for key, path in files.items():
         words = [word for _, line in read_lines(path) for word in line]
         T = pose_of_numbers(numbers_of(words, path), path)
-        if T is None:
-            poses.lost.append(key)
-        else:
-            poses.by_key[key] = T
+        poses.add(key, T)
     return poses
 
 
@@ -147,12 +151,8 @@ def poses_from_trajectory(path, keys, stamped):
     poses = Poses()
     for tag, T in zip(tags, matrices, strict=True):
         key = known.get(canonical(tag))
-        if key is None:
-            continue
-        if T is None:
-            poses.lost.append(key)
-        else:
-            poses.by_key[key] = T
+        if key is not None:
+            poses.add(key, T)
     return poses
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from persem_ros.config import Topics
 from persem_ros.convert.images import metres
 from persem_ros.errors import PersemError
+from tqdm import tqdm
 
 LOG = logging.getLogger(__name__)
 MAP, CAMERA = 'map', 'camera'
@@ -103,6 +104,40 @@ class SceneWriter:
         self._out.tf(stamp, MAP, CAMERA, T)
         self.counts['poses'] += 1
         self._next = next(self._trajectory, None)
+
+
+def write_scene(writer, legend, trajectory, items, write):
+    """
+    Write a whole recording.
+
+    Parameters
+    ----------
+    writer : RecordingWriter
+        Not yet open.
+    legend, trajectory
+        Of SceneWriter.
+    items : list
+        The frames.
+    write : function of (SceneWriter, item)
+        Writes the images of one.
+
+    Returns
+    -------
+    str
+        One line that says what was written.
+
+    """
+    with writer as out:
+        scene = SceneWriter(out, legend, trajectory)
+        for item in tqdm(items, unit='frame', disable=None):
+            write(scene, item)
+        return scene.finish()
+
+
+def check_scale(scale):
+    """Refuse a factor on the images' size that enlarges them, or leaves nothing."""
+    if not 0 < scale <= 1:
+        raise PersemError(f'--scale {scale:g}: expected more than 0 and at most 1')
 
 
 def report_dropped(dropped):

@@ -10,13 +10,12 @@ from persem_ros.convert.files import some
 from persem_ros.convert.images import (
     metres, nearest, read_color, read_labels, same_aspect, scaled_K,
 )
-from persem_ros.convert.scene import chosen, report_dropped, SceneWriter
+from persem_ros.convert.scene import check_scale, chosen, report_dropped, write_scene
 from persem_ros.convert.uavscenes_depth import FolderDepth, LidarDepth
 from persem_ros.convert.uavscenes_layout import find_calibration, find_run, folder_of, images
 from persem_ros.convert.units import check_unit
 from persem_ros.errors import PersemError
 from persem_ros.outputs.recording import RecordingWriter
-from tqdm import tqdm
 
 LOG = logging.getLogger(__name__)
 NAMED = (0, 1, 2, 3, 4, 5, 6, 9, 10, 11, 13, 14, 15, 16, 17, 18, 19, 20, 24)
@@ -88,17 +87,7 @@ def convert_uavscenes(root, name, path, options=None, legend=None, **writing):
     legend : Legend, optional
         Written beside the labels.
     **writing
-        storage, compress and force of RecordingWriter.
-
-    Returns
-    -------
-    str
-        One line that says what was written.
-
-    Raises
-    ------
-    PersemError
-        When something is missing, does not fit together or cannot be read.
+        As in convert_frames(), like what is returned and raised.
 
     """
     options = options or UavscenesOptions()
@@ -111,11 +100,9 @@ def convert_uavscenes(root, name, path, options=None, legend=None, **writing):
     keys = chosen(_complete(run, labels, depth), options.frames, options.every)
     if options.depth and options.check:
         _check_unit(run, keys, depth, rig, options)
-    with writer as out:
-        scene = SceneWriter(out, legend, _trajectory(run, keys))
-        for key in tqdm(keys, unit='frame', disable=None):
-            _write_frame(scene, run, key, labels[key], depth, rig, options)
-        return scene.finish()
+    return write_scene(
+        writer, legend, _trajectory(run, keys), keys,
+        lambda scene, key: _write_frame(scene, run, key, labels[key], depth, rig, options))
 
 
 def _trajectory(run, keys):
@@ -127,8 +114,7 @@ def _trajectory(run, keys):
 
 
 def _check_options(options):
-    if not 0 < options.scale <= 1:
-        raise PersemError(f'--scale {options.scale:g}: expected more than 0 and at most 1')
+    check_scale(options.scale)
     if not 0 <= options.lidar <= MAX_SCANS:
         raise PersemError(f'--lidar {options.lidar}: expected 0 to {MAX_SCANS} scans')
 
