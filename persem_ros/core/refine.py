@@ -126,13 +126,20 @@ def labelled(memory, taken, method, settings, rho, n_ids):
               taken.majority, taken.observations, taken.first, taken.head,
               directions(settings.neighbours), anchor, then,
               int(settings.min_observations), float(settings.eta),
-              np.exp(-settings.lambda_volatility * rho), gap,
+              trust_of(rho, settings.lambda_volatility), gap,
               float(np.exp(-settings.lambda_disagreement)), float(settings.gamma),
               float(settings.lambda_gap), float(settings.tau_replay),
               float(settings.tau_context), memory.max_history, labels, sources)
     elif method != 'majority':
         raise ValueError(f'{method!r} is not a method on voxels')
     return labels, sources
+
+
+def trust_of(rho, lambda_volatility):
+    """Return exp(-lambda_v rho(c)) of every id, (65536,) float64; most ids never occur."""
+    trust, volatile = np.ones(len(rho)), np.flatnonzero(rho)
+    trust[volatile] = np.exp(-lambda_volatility * rho[volatile])
+    return trust
 
 
 def _with(function, scratch):

@@ -18,7 +18,7 @@ from persem_ros.evaluate.counting import Counter
 from persem_ros.evaluate.counts import stacked
 from persem_ros.evaluate.kinds import kinds_of
 from persem_ros.evaluate.measures import summary
-from persem_ros.evaluate.peak import PeakMemory
+from persem_ros.outputs.peak import PeakMemory
 from persem_ros.evaluate.pictures import Panels, top_view
 from persem_ros.evaluate.stream import Stream
 from persem_ros.evaluate.taxonomy import taxonomy

@@ -6,13 +6,13 @@ from importlib import metadata
 import os
 from pathlib import Path
 import platform
-import resource
 import shutil
 import subprocess
 import time
 
 from persem_ros import __version__
 from persem_ros.errors import PersemError
+from persem_ros.outputs.peak import PeakMemory
 from persem_ros.outputs.target import check_target
 
 FILES = ('map.ply', 'map.persem', 'refined', 'metrics.json', 'config.yaml', 'timing.json',
@@ -147,7 +147,7 @@ def timing(watch, frames, sizes):
 
     """
     total = watch.total()
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    peak = PeakMemory().bytes()
     return {'total_s': round(total, 3), 'frames': frames,
             'frames_per_s': round(frames / total, 2),
             'stages': {stage: {'s': round(seconds, 4), 'calls': watch.calls[stage]}

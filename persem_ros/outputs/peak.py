@@ -28,6 +28,7 @@ class PeakMemory:
     def bytes(self):    # noqa: A003 - a unit, not the type
         """Return the high-water mark of the resident set."""
         try:
+            # Not ru_maxrss where it can be helped: a child inherits its parent's mark.
             line = next(x for x in STATUS.read_text().splitlines() if x.startswith('VmHWM'))
             return 1024 * int(line.split()[1])
         except (OSError, StopIteration, ValueError):
