@@ -191,7 +191,7 @@ class Run:
         self._out = self._folder / 'listened'
         quiet = {'stdout': subprocess.DEVNULL, 'preexec_fn': _interruptible}
         self._listener = subprocess.Popen([sys.executable, __file__, '--listen', str(self._out)],
-                                          **quiet)
+                                          start_new_session=True, **quiet)
         options = [word for item in (
             f'memory.voxel_size:={VOXEL}', 'qos.labels:=reliable', 'qos.depth:=reliable',
             'qos.camera_info:=reliable', 'qos.pose:=reliable', *settings) for word in ('-p', item)]
@@ -221,6 +221,16 @@ class Run:
         sizes = [int(re.search(r'VmRSS:\s+(\d+)', Path(f'/proc/{pid}/status').read_text()).group(1))
                  for pid in pids]
         return max(sizes) / 1024
+
+    def __enter__(self):
+        """Begin a block at whose end nothing is left running."""
+        return self
+
+    def __exit__(self, *_):
+        """Kill what stop() has not ended."""
+        for process in (self._mapper, self._listener):
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
 
     def stop(self):
         """End both; return what the listener has noted."""
@@ -256,14 +266,14 @@ def percentile(values, share):
 
 def measure(node, flight, seconds, rate):
     """Play at a rate; return (row of the table, True where nothing was lost)."""
-    run = Run(node, flight)
-    run.wait()
-    sent = flight.play(seconds, rate)
-    time.sleep(3)
-    dropped, voxels, rss = run.value('dropped'), run.value('voxels'), run.rss()
-    inside = run.value('latency p95 (ms)')
-    refinement = run.value('refinement (s)')
-    came, maps = run.stop()
+    with Run(node, flight) as run:
+        run.wait()
+        sent = flight.play(seconds, rate)
+        inside = run.value('latency p95 (ms)')
+        time.sleep(3)
+        dropped, voxels, rss = run.value('dropped'), run.value('voxels'), run.rss()
+        refinement = run.value('refinement (s)')
+        came, maps = run.stop()
     found = latencies(sent, came)
     # The last frame of a flight may lack the pose after it.
     lost = len(sent) - len(found) > 1 or dropped > 0
@@ -276,24 +286,24 @@ def measure(node, flight, seconds, rate):
 
 def start(node, flight):
     """Return the seconds from the start of the node to the first refined image."""
-    run = Run(node, flight)
-    flight.play(60, 10, until=run.first_image)
-    seconds = run.first_image()
-    run.stop()
+    with Run(node, flight) as run:
+        flight.play(120, 10, until=run.first_image)
+        seconds = run.first_image()
+        run.stop()
     return seconds
 
 
 def soak(node, flight, seconds):
-    """Loop a flight of 20 s; yield (seconds, RSS in MB) twice a loop."""
-    run = Run(node, flight, ['memory.max_history:=128'])
-    run.wait()
-    begin = time.monotonic()
-    while time.monotonic() - begin < seconds:
-        flight.play(20, 10)
-        print(f'| {time.monotonic() - begin:.0f} | {run.value("frames"):.0f} | '
-              f'{run.value("observations") / 1e6:.2f} M | {run.value("voxels") / 1e3:.0f} k | '
-              f'{run.value("map bytes") / 1e6:.0f} | {run.rss():.0f} |', flush=True)
-    run.stop()
+    """Loop a flight of 20 s and print a row of the table after each."""
+    with Run(node, flight, ['memory.max_history:=128']) as run:
+        run.wait()
+        begin = time.monotonic()
+        while time.monotonic() - begin < seconds:
+            flight.play(20, 10)
+            print(f'| {time.monotonic() - begin:.0f} | {run.value("frames"):.0f} | '
+                  f'{run.value("observations") / 1e6:.2f} M | {run.value("voxels") / 1e3:.0f} k | '
+                  f'{run.value("map bytes") / 1e6:.0f} | {run.rss():.0f} |', flush=True)
+        run.stop()
 
 
 def main():

@@ -87,7 +87,8 @@ def workspace():
     env = dict(line.split('=', 1) for line in output.decode().split('\0') if '=' in line)
     subprocess.run([sys.executable, '-c',
                     'from persem_ros.core.warmup import warm_up; warm_up()'],
-                   env=env, check=True, timeout=600)
+                   env=env, check=True, timeout=600,
+                   cwd=folder)      # not where the package lies: kernels are kept by path
     return env
 
 
