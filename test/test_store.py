@@ -136,7 +136,7 @@ def test_another_max_history(path, memory, caplog):
 
 def test_what_is_no_map_file(tmp_path):
     assert 'No such file' in refusal(tmp_path / 'none')
-    assert 'Is a directory' in refusal(tmp_path)
+    assert 'is a folder' in refusal(tmp_path)
     (tmp_path / 'empty').write_bytes(b'')
     assert 'not a map file' in refusal(tmp_path / 'empty')
     (tmp_path / 'text').write_text('map: no\n' * 1000)
