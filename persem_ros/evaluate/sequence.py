@@ -18,13 +18,13 @@ from persem_ros.evaluate.counting import Counter
 from persem_ros.evaluate.counts import stacked
 from persem_ros.evaluate.kinds import kinds_of
 from persem_ros.evaluate.measures import summary
-from persem_ros.outputs.peak import PeakMemory
 from persem_ros.evaluate.pictures import Panels, top_view
 from persem_ros.evaluate.stream import Stream
 from persem_ros.evaluate.taxonomy import taxonomy
 from persem_ros.inputs.recording import Recording
 from persem_ros.legend import Legend, load_legend
 from persem_ros.outputs import rundir
+from persem_ros.outputs.peak import PeakMemory
 from persem_ros.pipeline import Pipeline
 
 BLOCKS = 30         # stretches of frames that intervals are made of
