@@ -218,9 +218,8 @@ class Run:
         """Return the node's resident memory in MB."""
         pids = subprocess.run(['pgrep', '-g', str(self._mapper.pid)], capture_output=True,
                               text=True).stdout.split()
-        sizes = [int(re.search(r'VmRSS:\s+(\d+)', Path(f'/proc/{pid}/status').read_text()).group(1))
-                 for pid in pids]
-        return max(sizes) / 1024
+        states = [Path(f'/proc/{pid}/status').read_text() for pid in pids]
+        return max(int(re.search(r'VmRSS:\s+(\d+)', text).group(1)) for text in states) / 1024
 
     def __enter__(self):
         """Begin a block at whose end nothing is left running."""
@@ -343,7 +342,7 @@ def tables(node, args):
     flight = Flight(node)
     print(f'load before: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores\n')
     if args.soak:
-        print('| s | frames | observations | voxels | map MB | RSS MB |\n|---|---|---|---|---|---|')
+        print('| s | frames | observations | voxels | map MB | RSS MB |\n' + '|---' * 6 + '|')
         soak(node, flight, args.soak)
         return
     start(node, flight)     # once for the file cache

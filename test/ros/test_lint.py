@@ -20,10 +20,13 @@ def test_pep257():
     assert main(argv=FOLDERS) == 0
 
 
-def test_xmllint(monkeypatch):
+def test_xmllint(capfd):
     import shutil
     from ament_xmllint.main import main
     if shutil.which('xmllint') is None:
         pytest.skip('no xmllint here (apt install libxml2-utils)')
-    # The schema is on the network, which a test does not depend on: well-formed will do.
-    assert main(argv=[str(ROOT / 'package.xml'), '--extensions', 'xml']) == 0
+    status = main(argv=[str(ROOT / 'package.xml'), '--extensions', 'xml'])
+    said = ''.join(capfd.readouterr())
+    if 'failed to load external entity "http' in said:
+        pytest.skip('the schema of package.xml cannot be reached from here')
+    assert status == 0, said
