@@ -219,7 +219,10 @@ class Run:
         pids = subprocess.run(['pgrep', '-g', str(self._mapper.pid)], capture_output=True,
                               text=True).stdout.split()
         states = [Path(f'/proc/{pid}/status').read_text() for pid in pids]
-        return max(int(re.search(r'VmRSS:\s+(\d+)', text).group(1)) for text in states) / 1024
+        sizes = [int(kb) for text in states for kb in re.findall(r'VmRSS:\s+(\d+)', text)]
+        if self._mapper.poll() is not None or not sizes:
+            raise RuntimeError('the node has ended')
+        return max(sizes) / 1024
 
     def __enter__(self):
         """Begin a block at whose end nothing is left running."""
