@@ -16,7 +16,7 @@ setup(
     license='Apache-2.0',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
     package_data={f'{NAME}.outputs.report': ['assets/*', 'templates/*'],
-                  f'{NAME}.evaluate': ['templates/*']},
+                  f'{NAME}.evaluate.show': ['templates/*']},
     python_requires='>=3.10',
     install_requires=[
         'jinja2>=3.1',

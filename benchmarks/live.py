@@ -19,8 +19,8 @@ import threading
 import time
 
 import numpy as np
-from persem_ros.core.geometry import transform
-from persem_ros.outputs.messages import MessageFactory
+from persem_ros.core.transforms import transform
+from persem_ros.outputs.recording.messages import MessageFactory
 import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.qos import DurabilityPolicy, QoSProfile

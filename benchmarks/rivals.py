@@ -3,10 +3,9 @@
 import time
 
 import numpy as np
-
-from persem_ros.config import Config
-from persem_ros.core.geometry import inverse
-from persem_ros.core.images import backprojected
+from persem_ros.core.frame.images import backprojected
+from persem_ros.core.transforms import inverse
+from persem_ros.settings.config import Config
 
 VOXEL_SIZE, MAX_DEPTH = 0.5, 200.0
 

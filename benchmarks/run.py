@@ -12,14 +12,13 @@ import tempfile
 import time
 
 import numpy as np
-
-from persem_ros.config import Config
 from persem_ros.core import jit
-from persem_ros.core.memory import stored_observations
+from persem_ros.core.memory.voxel_memory import stored_observations
 from persem_ros.core.warmup import warm_up
-from persem_ros.outputs.recording import RecordingWriter
-from persem_ros.outputs.rundir import hardware, versions
+from persem_ros.outputs.recording.writer import RecordingWriter
+from persem_ros.outputs.results.rundir import hardware, versions
 from persem_ros.pipeline import Pipeline
+from persem_ros.settings.config import Config
 from persem_ros.simulate.flight import Flight
 import rivals
 import scenes

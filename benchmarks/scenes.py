@@ -3,10 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
-
-from persem_ros.config import Config
-from persem_ros.core.images import backprojected
-from persem_ros.core.observe import Observations
+from persem_ros.core.frame.images import backprojected
+from persem_ros.core.frame.observe import Observations
+from persem_ros.settings.config import Config
 from persem_ros.simulate.flight import Flight, Plan
 
 SIZE = 640, 480

@@ -1,10 +1,9 @@
 """From arrays to a refined label image: a wall, half of it door, seen by a poor segmenter."""
 
 import numpy as np
-
-from persem_ros.config import Config, updated
 from persem_ros.frames import Frame, pinhole
 from persem_ros.pipeline import Pipeline
+from persem_ros.settings.config import Config, updated
 
 WALL, DOOR = 1, 2
 rng = np.random.default_rng(0)

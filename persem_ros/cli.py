@@ -8,8 +8,8 @@ import os
 import sys
 
 from persem_ros import __version__
-from persem_ros.config import nearest, settings
 from persem_ros.errors import PersemError
+from persem_ros.settings.config import nearest, settings
 
 COMMANDS = ('simulate', 'convert', 'info', 'replay', 'evaluate', 'sweep', 'compare', 'config',
             'map')

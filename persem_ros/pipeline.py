@@ -7,12 +7,11 @@ the same map from the same frames.
 """
 
 import numpy as np
-
-from persem_ros.core import images
-from persem_ros.core.memory import VoxelMemory
-from persem_ros.core.observe import gather
-from persem_ros.core.refine import refine
-from persem_ros.core.render import filled, render, voxel_image, voxel_image_of
+from persem_ros.core.frame import images
+from persem_ros.core.frame.observe import gather
+from persem_ros.core.frame.render import filled, render, voxel_image, voxel_image_of
+from persem_ros.core.memory.voxel_memory import VoxelMemory
+from persem_ros.core.refine.job import refine
 
 
 class Pipeline:
@@ -21,8 +20,8 @@ class Pipeline:
 
     Parameters
     ----------
-    config : persem_ros.config.Config
-    memory : core.memory.VoxelMemory, optional
+    config : persem_ros.settings.config.Config
+    memory : core.memory.voxel_memory.VoxelMemory, optional
         A map to go on with; its voxel size, origin and history bound hold.
 
     """

@@ -3,13 +3,12 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-
-from persem_ros.config import IMAGE_METHODS
-from persem_ros.core.images import counted, resampled
-from persem_ros.core.refine import label
-from persem_ros.core.render import filled, render
-from persem_ros.core.smoothing import EmaImages
-from persem_ros.outputs.metrics import valid_pixels
+from persem_ros.core.frame.images import counted, resampled
+from persem_ros.core.frame.render import filled, render
+from persem_ros.core.frame.smoothing import EmaImages
+from persem_ros.core.refine.job import label
+from persem_ros.outputs.results.metrics import valid_pixels
+from persem_ros.settings.config import IMAGE_METHODS
 
 
 @dataclass(frozen=True, eq=False)

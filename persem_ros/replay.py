@@ -4,28 +4,28 @@ import functools
 import logging
 
 import numpy as np
-
-from persem_ros import config_file
 from persem_ros.ahead import read_ahead, WriteBehind
-from persem_ros.config import IMAGE_METHODS, METHODS, nearest
 from persem_ros.core.jit import Announcement
-from persem_ros.core.regions import regions
+from persem_ros.core.refine.regions import regions
 from persem_ros.core.warmup import warm_up
 from persem_ros.errors import PersemError
-from persem_ros.inputs.recording import Recording
-from persem_ros.legend import Legend, load_legend
-from persem_ros.outputs import rundir, store
-from persem_ros.outputs.advice import Advice
-from persem_ros.outputs.cloud import map_points
-from persem_ros.outputs.emptiness import Emptiness
+from persem_ros.inputs.recording.recording import Recording
 from persem_ros.outputs.files import write_json, write_text
-from persem_ros.outputs.metrics import Metrics
-from persem_ros.outputs.ply import map_comments, write_ply
+from persem_ros.outputs.map import store
+from persem_ros.outputs.map.cloud import map_points
+from persem_ros.outputs.map.ply import map_comments, write_ply
 from persem_ros.outputs.progress import progress
-from persem_ros.outputs.refined import RefinedWriter
+from persem_ros.outputs.recording.refined import RefinedWriter
 from persem_ros.outputs.report.watcher import ReportWatcher
+from persem_ros.outputs.results import rundir
+from persem_ros.outputs.results.metrics import Metrics
 from persem_ros.pipeline import Pipeline
+from persem_ros.preflight.advice import Advice
+from persem_ros.preflight.emptiness import Emptiness
 from persem_ros.rendering import Renderer
+from persem_ros.settings import config_file
+from persem_ros.settings.config import IMAGE_METHODS, METHODS, nearest
+from persem_ros.settings.legend import Legend, load_legend
 
 log = logging.getLogger(__name__)
 
@@ -36,16 +36,16 @@ class Replay:
 
     Parameters
     ----------
-    recording : persem_ros.inputs.recording.Recording
+    recording : persem_ros.inputs.recording.recording.Recording
     folder : Path
-        Where the results go; ready (outputs.rundir.prepare).
-    config : persem_ros.config.Config
+        Where the results go; ready (outputs.results.rundir.prepare).
+    config : persem_ros.settings.config.Config
     methods : sequence of str
         Methods to be measured; refine.method is among them.
     watchers : sequence
         Each is told of every rendered frame: watcher.frame(replay, frame, rendering); and at the
         end: watcher.finish(replay, result).
-    memory : persem_ros.core.memory.VoxelMemory, optional
+    memory : persem_ros.core.memory.voxel_memory.VoxelMemory, optional
         A map to go on with.
 
     """
@@ -200,7 +200,7 @@ def replay(path, out, config, methods=None, causal=False, force=False, watchers=
         A rosbag2 recording.
     out : str or Path
         The folder of the results.
-    config : persem_ros.config.Config
+    config : persem_ros.settings.config.Config
         All settings.
     methods : sequence of str, optional
         What is measured besides refine.method, ('all',) for everything; raw2d and majority by

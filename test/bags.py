@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from persem_ros.core.geometry import transform
-from persem_ros.outputs.recording import RecordingWriter
+from persem_ros.core.transforms import transform
+from persem_ros.outputs.recording.writer import RecordingWriter
 
 START = 1_700_000_000_000_000_000
 STEP = 100_000_000          # ns between frames

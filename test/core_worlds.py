@@ -5,13 +5,12 @@ from functools import partial
 import math
 import os
 
-from hypothesis import HealthCheck, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, settings, strategies as st
 import numpy as np
-from persem_ros.config import Refine
-from persem_ros.core.memory import VoxelMemory
-from persem_ros.core.observe import Observations
+from persem_ros.core.frame.observe import Observations
+from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.frames import UNKNOWN
+from persem_ros.settings.config import Refine
 import reference as ref
 
 # A continuous-integration machine sees the same examples each time; a developer sees new ones.

@@ -360,7 +360,7 @@ def label(memory, method, settings, max_history=0, rho=None):
         What was seen.
     method : str
         One of FUSION and SELECTIVE.
-    settings : persem_ros.config.Refine
+    settings : persem_ros.settings.config.Refine
         The constants.
     max_history : int
         The newest observations of a voxel that replays and fusion methods read; 0 = all.

@@ -16,7 +16,9 @@ import sys
 import tempfile
 
 from persem_ros import cli, rendering, replay
-from persem_ros.outputs import files, recording, refined, rundir
+from persem_ros.outputs import files
+from persem_ros.outputs.recording import refined, writer
+from persem_ros.outputs.results import rundir
 
 
 def main():
@@ -72,10 +74,10 @@ def at(phase, act):
             'opening': (replay, 'start_map', 1),
             'integrating': (replay.Replay, '_integrate', 6),
             'refining': (replay.Replay, '_refine', 1),
-            'naming': (recording.RecordingWriter, 'text', 1),       # of the legend
+            'naming': (writer.RecordingWriter, 'text', 1),       # of the legend
             'rendering': (rendering.Renderer, 'render', 6),
             'recording': (refined.RefinedWriter, 'frame', 6),       # in another thread
-            'closing': (recording.RecordingWriter, '_move', 1),
+            'closing': (writer.RecordingWriter, '_move', 1),
             'finishing': (rundir, 'timing', 1)}[phase]
         count = []
         before(owner, name, act, lambda *_: count.append(1) or len(count) == calls)

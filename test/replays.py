@@ -5,12 +5,12 @@ import json
 from pathlib import Path
 
 import numpy as np
-from persem_ros.config import Config, updated
-from persem_ros.core.regions import REGIONS
-from persem_ros.inputs import messages
-from persem_ros.inputs.recording import Recording
-from persem_ros.outputs import store
-from persem_ros.outputs.rundir import FILES
+from persem_ros.core.refine.regions import REGIONS
+from persem_ros.inputs.decode import messages
+from persem_ros.inputs.recording.recording import Recording
+from persem_ros.outputs.map import store
+from persem_ros.outputs.results.rundir import FILES
+from persem_ros.settings.config import Config, updated
 import reference as ref
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader

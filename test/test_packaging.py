@@ -98,8 +98,8 @@ def test_an_installation_is_whole(tmp_path):
          '--disable-pip-version-check', '--target', site, source)
     assert _files(source / 'persem_ros') == _files(site / 'persem_ros')
     shutil.rmtree(source)
-    shown = _run('-c', 'import persem_ros.legend as x; print(x.__file__, *x.shipped_legends())',
-                 cwd=tmp_path, env={**os.environ, 'PYTHONPATH': str(site)})
+    code = 'import persem_ros.settings.legend as x; print(x.__file__, *x.shipped_legends())'
+    shown = _run('-c', code, cwd=tmp_path, env={**os.environ, 'PYTHONPATH': str(site)})
     module, *legends = shown.split()
     assert Path(module).is_relative_to(site)
     assert legends == sorted(path.stem for path in (ROOT / 'config' / 'labels').glob('*.yaml'))

@@ -3,7 +3,7 @@
 import bags
 import numpy as np
 
-from persem_ros.outputs.recording import RecordingWriter
+from persem_ros.outputs.recording.writer import RecordingWriter
 
 MOVING = 9
 

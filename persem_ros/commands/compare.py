@@ -18,7 +18,7 @@ def add_parser(subparsers):
 def run(args):
     """Print what differs."""
     from persem_ros.evaluate.compare import compare
-    from persem_ros.evaluate.table import console
+    from persem_ros.evaluate.show.table import console
     lines, tables = compare(args.a, args.b, args.out)
     print(f'A: {args.a}\nB: {args.b}\n')
     print('\n'.join(f'  {line}' for line in lines) or

@@ -19,7 +19,7 @@ def add_parser(subparsers):
 
 def run(args):
     """Print the settings on standard output."""
-    from persem_ros import config_file
+    from persem_ros.settings import config_file
     config = config_file.from_args(args.config, args.set_items, node=args.defaults_node)
     if args.markdown:
         print(config_file.to_markdown(), end='')

@@ -172,7 +172,7 @@ def _add_writing(parser):
 
 def run_frames(args):
     """Convert folders of files."""
-    from persem_ros.convert.frames import FramesOptions, convert_frames
+    from persem_ros.convert.frames.convert import FramesOptions, convert_frames
     options = FramesOptions(
         **{name: getattr(args, name) for name in (
             'labels', 'depth', 'pose', 'color', 'truth', 'intrinsics', 'depth_unit', 'stamps',
@@ -186,7 +186,7 @@ def run_frames(args):
 
 def run_uavscenes(args):
     """Convert a run of UAVScenes."""
-    from persem_ros.convert.uavscenes import UavscenesOptions, convert_uavscenes
+    from persem_ros.convert.uavscenes.convert import UavscenesOptions, convert_uavscenes
     options = UavscenesOptions(
         **{name: getattr(args, name) for name in (
             'interval', 'predictions', 'depth', 'depth_unit', 'lidar', 'calibration', 'camera',
@@ -200,8 +200,8 @@ def run_uavscenes(args):
 
 def run_forest(args):
     """Convert a sequence of Forest Inspection."""
-    from persem_ros.convert.forest import convert_forest
-    from persem_ros.convert.forest_layout import ForestOptions
+    from persem_ros.convert.forest.convert import convert_forest
+    from persem_ros.convert.forest.layout import ForestOptions
     options = ForestOptions(
         **{name: getattr(args, name) for name in (
             'labels', 'depth', 'color', 'pose', 'predictions', 'depth_unit', 'depth_coding',
@@ -215,7 +215,7 @@ def run_forest(args):
 
 def _legend(args):
     """Return the Legend that --legend names, None where it names none."""
-    from persem_ros.legend import load_legend
+    from persem_ros.settings.legend import load_legend
     return load_legend(args.legend) if args.legend else None
 
 

@@ -46,7 +46,7 @@ def add_evaluation(parser):
 
 def methods_of(text):
     """Return the methods that an option names."""
-    from persem_ros.config import IMAGE_METHODS, METHODS
+    from persem_ros.settings.config import IMAGE_METHODS, METHODS
     return IMAGE_METHODS + METHODS if text == 'all' else \
         tuple(word.strip() for word in text.split(',') if word.strip())
 
@@ -56,10 +56,10 @@ def run(args):
     from contextlib import nullcontext
     from tempfile import TemporaryDirectory
 
-    from persem_ros import config_file
+    from persem_ros.settings import config_file
     from persem_ros.evaluate.run import evaluate
-    from persem_ros.evaluate.table import console
-    from persem_ros.evaluate.tables import tables
+    from persem_ros.evaluate.show.table import console
+    from persem_ros.evaluate.show.paper_tables import tables
     config = config_file.from_args(args.config, args.set_items)
     with nullcontext(args.out) if args.out else TemporaryDirectory(prefix='persem-') as out:
         evaluation = evaluate(

@@ -21,18 +21,18 @@ def run(args):
 
     from tqdm import tqdm
 
-    from persem_ros import config_file
-    from persem_ros.inputs import info, info_text
-    from persem_ros.inputs.source import Source
-    from persem_ros.inputs.topics import Choice
+    from persem_ros.settings import config_file
+    from persem_ros.preflight import contents, contents_text
+    from persem_ros.inputs.recording.source import Source
+    from persem_ros.inputs.recording.topics import Choice
 
     config = config_file.from_args(args.config, args.set_items)
     with Source(args.bag) as source:
         total = sum(topic.count for topic in source.topics)
-        rows = info.survey(source, lambda it: tqdm(
+        rows = contents.survey(source, lambda it: tqdm(
             it, total=total, unit=' messages', leave=False, dynamic_ncols=True,
             disable=not sys.stderr.isatty()))
         choice = Choice(source, config)
-        lacking = info.problems(source, choice, config)
-        print(info_text.text(source, rows, choice, lacking), end='')
+        lacking = contents.problems(source, choice, config)
+        print(contents_text.text(source, rows, choice, lacking), end='')
     return 1 if lacking else 0

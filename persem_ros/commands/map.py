@@ -42,9 +42,9 @@ def add_parser(subparsers):
 def info(args):
     """Print what the map file holds."""
     import numpy as np
-    from persem_ros.config import settings
-    from persem_ros.outputs.store import load
-    from persem_ros.parameter_file import scalar
+    from persem_ros.settings.config import settings
+    from persem_ros.outputs.map.store import load
+    from persem_ros.settings.parameter_file import scalar
     stored = load(args.file)
     saved, origin = stored.saved, np.array(stored.saved.origin)
     print(f'{args.file}: {stored.path.stat().st_size / 1e6:.1f} MB, whole')
@@ -70,9 +70,9 @@ def export(args):
     """Write the chosen voxels as a PLY file; print how many."""
     from pathlib import Path
     import numpy as np
-    from persem_ros.outputs.cloud import map_points
-    from persem_ros.outputs.ply import map_comments, write_ply
-    from persem_ros.outputs.store import load
+    from persem_ros.outputs.map.cloud import map_points
+    from persem_ros.outputs.map.ply import map_comments, write_ply
+    from persem_ros.outputs.map.store import load
     if Path(args.ply).is_file() and not args.force:
         raise PersemError(f'{args.ply} exists; give another name with --ply, or --force to '
                           'replace it')
@@ -103,9 +103,9 @@ def export(args):
 def query(args):
     """Print the history, evidence and label of the voxel at a point."""
     import numpy as np
-    from persem_ros.core.explain import explain
-    from persem_ros.outputs.explanation import explanation
-    from persem_ros.outputs.store import load
+    from persem_ros.core.refine.explain import explain
+    from persem_ros.outputs.map.explanation import explanation
+    from persem_ros.outputs.map.store import load
     stored = load(args.file)
     memory = stored.memory()
     point = np.array([args.x, args.y, args.z])
@@ -146,8 +146,8 @@ def _frames_line(saved):
 def _class_table(stored):
     """Return the classes by number of voxels, with their sources."""
     import numpy as np
-    from persem_ros.outputs.cloud import SOURCES
-    from persem_ros.outputs.explanation import names
+    from persem_ros.outputs.map.cloud import SOURCES
+    from persem_ros.outputs.map.explanation import names
     saved, name = stored.saved, names(stored.legend)
     ids, counts = np.unique(saved.label, return_counts=True)
     lines = [f'{"id":>5}  {"class":<24}{"voxels":>10}{"share":>8}  '

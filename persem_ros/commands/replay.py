@@ -1,7 +1,7 @@
 """persem replay: from a recording to a refined map, refined images and metrics."""
 
 from persem_ros.commands import add_settings
-from persem_ros.config import IMAGE_METHODS, METHODS
+from persem_ros.settings.config import IMAGE_METHODS, METHODS
 
 
 def add_parser(subparsers):
@@ -35,7 +35,7 @@ def run(args):
     """Replay the recording; print the table of results."""
     from contextlib import ExitStack
     from pathlib import Path
-    from persem_ros import config_file
+    from persem_ros.settings import config_file
     from persem_ros.replay import replay
     config = config_file.from_args(args.config, args.set_items)
     methods = [name.strip() for name in (args.methods or '').split(',') if name.strip()]
@@ -43,7 +43,7 @@ def run(args):
         truth = _Truth()
         watchers = [truth]
         if args.rerun:
-            from persem_ros.outputs.rerun_log import RerunLog
+            from persem_ros.outputs.results.rerun_log import RerunLog
             watchers.append(stack.enter_context(RerunLog(args.rerun)))
         if args.figure:
             from persem_ros.outputs.report.figure import FigureWatcher

@@ -74,8 +74,8 @@ def run(args):
     from tqdm import tqdm
 
     from persem_ros.errors import PersemError
-    from persem_ros.outputs.recording import RecordingWriter
-    from persem_ros.outputs.target import check_target
+    from persem_ros.outputs.recording.writer import RecordingWriter
+    from persem_ros.outputs.recording.target import check_target
     try:
         from persem_ros.simulate.flight import Flight
     except ImportError as error:

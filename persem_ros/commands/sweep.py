@@ -28,9 +28,9 @@ def add_parser(subparsers):
 
 def run(args):
     """Evaluate all points; print their table."""
-    from persem_ros import config_file
+    from persem_ros.settings import config_file
     from persem_ros.evaluate.sweep import parse_vary, points_table, sweep
-    from persem_ros.evaluate.table import console
+    from persem_ros.evaluate.show.table import console
     config = config_file.from_args(args.config, args.set_items)
     result = sweep(args.bags, args.out, config, parse_vary(args.vary, config),
                    methods_of(args.methods), args.labels, args.grouped, not args.no_dynamic,

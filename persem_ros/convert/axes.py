@@ -4,7 +4,7 @@ from itertools import product
 import logging
 
 import numpy as np
-from persem_ros.core.geometry import inverse
+from persem_ros.core.transforms import inverse
 
 LOG = logging.getLogger(__name__)
 DIRECTIONS = ('camera-to-world', 'world-to-camera')

@@ -7,7 +7,7 @@ import logging
 import numpy as np
 from persem_ros.convert.files import canonical, numbers_of, read_lines
 from persem_ros.convert.stamps import number_of_name, seconds_to_ns
-from persem_ros.core.geometry import matrix_to_quaternion, slerp, transform
+from persem_ros.core.transforms import matrix_to_quaternion, slerp, transform
 from persem_ros.errors import PersemError
 
 LOG = logging.getLogger(__name__)

@@ -4,9 +4,9 @@ from collections import Counter
 import logging
 
 import numpy as np
-from persem_ros.config import Topics
 from persem_ros.convert.images import metres
 from persem_ros.errors import PersemError
+from persem_ros.settings.config import Topics
 from tqdm import tqdm
 
 LOG = logging.getLogger(__name__)

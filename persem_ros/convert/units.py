@@ -5,7 +5,7 @@ import logging
 import numpy as np
 from persem_ros.convert.axes import misses, pairs_to_check, WORST
 from persem_ros.convert.images import UNITS
-from persem_ros.core.geometry import inverse
+from persem_ros.core.transforms import inverse
 
 LOG = logging.getLogger(__name__)
 FACTORS = (1.0, 0.1, 10.0, 0.01, 100.0, 0.001, 1000.0)      # on the depth as it is read

@@ -1,1 +1,7 @@
-"""The algorithm: arrays in, arrays out; knows nothing of ROS, files or the command line."""
+"""
+The algorithm: frames in, a map and label images out; numpy and numba only.
+
+Rooms: frame/ (pixels and voxels), memory/ (what was seen), refine/ (what is made of it).
+Everybody may enter; nothing in here knows ROS, files or the command line.
+
+"""

@@ -53,7 +53,7 @@ def cache_folder():
 
     """
     digest = hashlib.sha256(f'{numba.__version__} {np.__version__}'.encode())
-    for source in sorted(Path(__file__).parent.glob('*.py')):
+    for source in sorted(Path(__file__).parent.rglob('*.py')):
         digest.update(source.read_bytes())
     name = f'kernels-{digest.hexdigest()[:16]}'
     home = os.environ.get('XDG_CACHE_HOME') or os.path.expanduser('~/.cache')

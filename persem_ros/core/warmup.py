@@ -1,19 +1,18 @@
 """Running every kernel once, so that the first real frame need not wait for a compiler."""
 
 import numpy as np
-
-from persem_ros.config import Memory, METHODS, Refine
-from persem_ros.core.dump import dump, load
-from persem_ros.core.evict import keep_near
-from persem_ros.core.images import placed, points
+from persem_ros.core.frame.images import placed, points
+from persem_ros.core.frame.observe import observe
+from persem_ros.core.frame.render import render, voxel_image, voxel_image_of
+from persem_ros.core.frame.smoothing import EmaImages
 from persem_ros.core.jit import keep_memory, mark_complete
-from persem_ros.core.memory import VoxelMemory
-from persem_ros.core.observe import observe
-from persem_ros.core.refine import label, refine
-from persem_ros.core.regions import regions
-from persem_ros.core.render import render, voxel_image, voxel_image_of
-from persem_ros.core.smoothing import EmaImages
+from persem_ros.core.memory.dump import dump, load
+from persem_ros.core.memory.evict import keep_near
+from persem_ros.core.memory.voxel_memory import VoxelMemory
+from persem_ros.core.refine.job import label, refine
+from persem_ros.core.refine.regions import regions
 from persem_ros.frames import Frame, pinhole
+from persem_ros.settings.config import Memory, METHODS, Refine
 
 
 def warm_up():

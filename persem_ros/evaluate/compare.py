@@ -4,16 +4,16 @@ import json
 from pathlib import Path
 
 import numpy as np
-
-from persem_ros.config import nearest
 from persem_ros.errors import PersemError
-from persem_ros.evaluate import manifest, table
-from persem_ros.evaluate.combine import BLOCK_ARRAYS
-from persem_ros.evaluate.intervals import COVERED, resampled, RESAMPLES
-from persem_ros.evaluate.measures import BETTER, MEASURES, number
-from persem_ros.evaluate.tables import NAMES
+from persem_ros.evaluate.measure.combine import BLOCK_ARRAYS
+from persem_ros.evaluate.measure.intervals import COVERED, resampled, RESAMPLES
+from persem_ros.evaluate.measure.measures import BETTER, MEASURES, number
+from persem_ros.evaluate.show import table
+from persem_ros.evaluate.show.paper_tables import NAMES
+from persem_ros.evaluate.work import manifest
 from persem_ros.outputs.files import write_text
-from persem_ros.parameter_file import read
+from persem_ros.settings.config import nearest
+from persem_ros.settings.parameter_file import read
 
 
 def load(folder):
@@ -140,17 +140,17 @@ def _intervals(first, second, name, other, methods):
 
 def _draw(folder, pairs, first, second, names):
     """Draw both results: arrows from A to B, flicker against mean IoU."""
-    from persem_ros.evaluate import page
+    from persem_ros.evaluate.show import page
     page.check()
-    from persem_ros.evaluate import drawing
-    with drawing.look():
+    from persem_ros.evaluate.show import style
+    with style.look():
         for name, other in pairs:
-            figure = drawing.new_figure(6.2, 4.2)
+            figure = style.new_figure(6.2, 4.2)
             axes = figure.subplots()
             one, two = first['sequences'][name]['methods'], second['sequences'][other]['methods']
             measure = 'miou' if all(row['miou'] is not None for row in one.values()) else None
             for k, m in enumerate([m for m in one if m in two]):
-                color, marker = drawing.STYLES[m]
+                color, marker = style.STYLES[m]
                 ends = [(row[m]['flicker'], row[m][measure] if measure else k)
                         for row in (one, two)]
                 if None in ends[0] + ends[1]:
@@ -159,7 +159,7 @@ def _draw(folder, pairs, first, second, names):
                               arrowprops={'arrowstyle': '->', 'color': color})
                 axes.plot(*ends[0], marker, color=color, markerfacecolor='white', markersize=7)
                 axes.plot(*ends[1], marker, color=color, label=m, markersize=7)
-            axes.set(xlabel=drawing.WORDS['flicker'], title=f'{names[0]} (hollow) to {names[1]}',
-                     ylabel=drawing.WORDS[measure] if measure else 'method')
+            axes.set(xlabel=style.WORDS['flicker'], title=f'{names[0]} (hollow) to {names[1]}',
+                     ylabel=style.WORDS[measure] if measure else 'method')
             figure.legend(loc='outside right upper')
-            drawing.save(figure, folder / f'compare-{name}')
+            style.save(figure, folder / f'compare-{name}')

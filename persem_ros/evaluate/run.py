@@ -5,17 +5,19 @@ import json
 import logging
 from pathlib import Path
 
-from persem_ros import config_file
-from persem_ros.config import nearest
 from persem_ros.errors import PersemError
-from persem_ros.evaluate import combine, jobs, manifest, page, table
-from persem_ros.evaluate.tables import tables
-from persem_ros.evaluate.task import ALL_METHODS, Task
-from persem_ros.evaluate.taxonomy import taxonomy
-from persem_ros.inputs.recording import Recording
-from persem_ros.legend import Legend
-from persem_ros.outputs import rundir
+from persem_ros.evaluate.measure import combine
+from persem_ros.evaluate.measure.taxonomy import taxonomy
+from persem_ros.evaluate.show import page, table
+from persem_ros.evaluate.show.paper_tables import tables
+from persem_ros.evaluate.work import jobs, manifest
+from persem_ros.evaluate.work.task import ALL_METHODS, Task
+from persem_ros.inputs.recording.recording import Recording
 from persem_ros.outputs.files import write_json, write_text
+from persem_ros.outputs.results import rundir
+from persem_ros.settings import config_file
+from persem_ros.settings.config import nearest
+from persem_ros.settings.legend import Legend
 
 log = logging.getLogger(__name__)
 REQUEST = 'request.json'        # what the folder is an evaluation of
@@ -32,7 +34,7 @@ def evaluate(recordings, out, config, methods=ALL_METHODS, labels='', grouped=Fa
         With the same settings for all.
     out : str or Path
         The folder of the results.
-    config : persem_ros.config.Config
+    config : persem_ros.settings.config.Config
         All settings.
     methods : sequence of str
         Some of ALL_METHODS.

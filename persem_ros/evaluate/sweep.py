@@ -5,17 +5,19 @@ import itertools
 import json
 import math
 
-from persem_ros import config_file
-from persem_ros.config import nearest, settings, updated
 from persem_ros.errors import PersemError
-from persem_ros.evaluate import manifest, run, sweep_page, table
-from persem_ros.evaluate.combine import mean
-from persem_ros.evaluate.measures import BETTER, MEASURES
-from persem_ros.evaluate.stream import Disturbance
-from persem_ros.evaluate.task import Task
-from persem_ros.outputs import rundir
+from persem_ros.evaluate import run
+from persem_ros.evaluate.measure.combine import mean
+from persem_ros.evaluate.measure.measures import BETTER, MEASURES
+from persem_ros.evaluate.show import sweep_page, table
+from persem_ros.evaluate.work import manifest
+from persem_ros.evaluate.work.stream import Disturbance
+from persem_ros.evaluate.work.task import Task
 from persem_ros.outputs.files import write_json, write_text
-from persem_ros.parameter_file import parse
+from persem_ros.outputs.results import rundir
+from persem_ros.settings import config_file
+from persem_ros.settings.config import nearest, settings, updated
+from persem_ros.settings.parameter_file import parse
 
 METHODS = ('raw2d', 'ema2d', 'majority', 'persem')
 DISTURB = 'disturb.'

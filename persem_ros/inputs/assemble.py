@@ -3,12 +3,11 @@
 from collections import deque
 
 import numpy as np
-
 from persem_ros.frames import Frame
-from persem_ros.inputs import messages
-from persem_ros.inputs.camera import camera, check, content, same_aspect
-from persem_ros.inputs.messages import BadMessage
-from persem_ros.inputs.sync import COLOR, DEPTH, LABELS, TRUTH
+from persem_ros.inputs.decode import messages
+from persem_ros.inputs.decode.camera import camera, check, content, same_aspect
+from persem_ros.inputs.decode.messages import BadMessage
+from persem_ros.inputs.sync.pairing import COLOR, DEPTH, LABELS, TRUTH
 
 CAMERAS_KEPT = 8        # a zoom lens must not fill the memory
 CHANGES_KEPT = 64
@@ -53,7 +52,7 @@ class Assembler:
 
         Parameters
         ----------
-        match : persem_ros.inputs.sync.Match
+        match : persem_ros.inputs.sync.pairing.Match
             With its pose.
         decoded : dict of str to message
             The messages of the match by kind.

@@ -4,11 +4,11 @@ from functools import partial
 import heapq
 from typing import NamedTuple
 
-from persem_ros.inputs import messages
 from persem_ros.inputs.assemble import Assembler
-from persem_ros.inputs.messages import BadMessage
-from persem_ros.inputs.poses import Lookup, NO_MOUNT
-from persem_ros.inputs.sync import COLOR, DEPTH, KEEP, LABELS, Synchronizer, TRUTH
+from persem_ros.inputs.decode import messages
+from persem_ros.inputs.decode.messages import BadMessage
+from persem_ros.inputs.sync.pairing import COLOR, DEPTH, KEEP, LABELS, Synchronizer, TRUTH
+from persem_ros.inputs.sync.poses import Lookup, NO_MOUNT
 
 ORDER = {TRUTH: 0, COLOR: 1, DEPTH: 2, LABELS: 3}   # at one stamp: whatever completes goes last
 INFO, POSE, TF = 'camera_info', 'pose', 'tf'
@@ -53,7 +53,7 @@ class Intake:
 
     Parameters
     ----------
-    config : persem_ros.config.Config
+    config : persem_ros.settings.config.Config
         The settings sync.*, camera.* and pose.*.
     decode : callable
         decode(data, typename) gives a message; BadMessage where its bytes are damaged.

@@ -2,11 +2,11 @@
 
 from typing import NamedTuple
 
-from persem_ros.inputs import messages
+from persem_ros.inputs.decode import messages
+from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.intake import Intake, POSE
-from persem_ros.inputs.messages import BadMessage
-from persem_ros.inputs.sync import DEPTH, LABELS, WENT_BACK
-from persem_ros.inputs.timeline import BACK, ODD, Timeline
+from persem_ros.inputs.sync.pairing import DEPTH, LABELS, WENT_BACK
+from persem_ros.inputs.sync.timeline import BACK, ODD, Timeline
 
 STALE = 'from before time went back'
 TIMED = (LABELS, DEPTH, POSE)       # whose stamps tell what time it is
@@ -26,7 +26,7 @@ class LiveIntake(Intake):
 
     Parameters
     ----------
-    config : persem_ros.config.Config
+    config : persem_ros.settings.config.Config
     decode : callable
         See Intake.
     dropped : collections.Counter

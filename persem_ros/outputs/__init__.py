@@ -1,1 +1,7 @@
-"""Results become files; nothing here imports ROS."""
+"""
+Results become files; nothing here imports ROS.
+
+Rooms: map/ (the map file, PLY), recording/ (rosbag2), results/ (folder, numbers), report/.
+Entered by replay, evaluate, convert, simulate, commands and the node.
+
+"""

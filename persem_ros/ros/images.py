@@ -2,9 +2,9 @@
 
 import cv2
 import numpy as np
-from persem_ros.core.render import nearest
+from persem_ros.core.frame.render import nearest
 from persem_ros.frames import UNKNOWN
-from persem_ros.outputs.refined import fitted
+from persem_ros.outputs.recording.refined import fitted
 from persem_ros.ros.messages import image
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Image
@@ -23,7 +23,7 @@ class ImageOutputs:
     camera : str
         Its name, '' where there is only one.
     legend : callable
-        legend() gives the persem_ros.legend.Legend in force.
+        legend() gives the persem_ros.settings.legend.Legend in force.
 
     """
 

@@ -26,7 +26,7 @@ class Inbox:
 
     Parameters
     ----------
-    sync : persem_ros.config.Sync
+    sync : persem_ros.settings.config.Sync
         sync.queue and sync.queue_bytes.
     on_drop : callable
         on_drop(item), from any thread.

@@ -5,15 +5,15 @@ import time
 
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TransformStamped
 from nav_msgs.msg import Odometry
-from persem_ros.config import topics_of
 from persem_ros.errors import PersemError
-from persem_ros.inputs import messages
+from persem_ros.inputs.decode import messages
 from persem_ros.inputs.intake import INFO, ORDER, POSE, TF
-from persem_ros.inputs.poses import PoseBuffer
-from persem_ros.inputs.sync import COLOR, DEPTH, LABELS
+from persem_ros.inputs.sync.pairing import COLOR, DEPTH, LABELS
+from persem_ros.inputs.sync.poses import PoseBuffer
 from persem_ros.ros.inbox import Item
-from rclpy.qos import DurabilityPolicy, qos_check_compatible, QoSCompatibility, QoSProfile, \
-    ReliabilityPolicy
+from persem_ros.settings.config import topics_of
+from rclpy.qos import (
+    DurabilityPolicy, qos_check_compatible, QoSCompatibility, QoSProfile, ReliabilityPolicy)
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from tf2_msgs.msg import TFMessage
 
@@ -84,7 +84,7 @@ class Inputs:
     Parameters
     ----------
     node : rclpy.node.Node
-    config : persem_ros.config.Config
+    config : persem_ros.settings.config.Config
     intake : persem_ros.inputs.live.LiveIntake
         Gets its cameras and their pose buffers here.
     inbox : persem_ros.ros.inbox.Inbox

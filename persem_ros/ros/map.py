@@ -11,8 +11,8 @@ import logging
 
 import numpy as np
 from persem_ros.core.jit import work_alone
-from persem_ros.core.memory import ordered
-from persem_ros.outputs.cloud import map_points, POINT
+from persem_ros.core.memory.voxel_memory import ordered
+from persem_ros.outputs.map.cloud import map_points, POINT
 from persem_ros.ros.messages import cloud
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import PointCloud2
@@ -33,7 +33,7 @@ class MapOutputs:
     map_frame : str
         The setting frames.map.
     legend : callable
-        legend() gives the persem_ros.legend.Legend in force.
+        legend() gives the persem_ros.settings.legend.Legend in force.
 
     """
 
@@ -79,7 +79,7 @@ class MapOutputs:
             Of the last frame, ns.
         centre : ndarray, shape (3,)
             The camera in the map, metres, map.origin taken off.
-        settings : persem_ros.config.Map
+        settings : persem_ros.settings.config.Map
             Crop, cap and least observations.
 
         """

@@ -4,7 +4,7 @@ from array import array
 
 from builtin_interfaces.msg import Time
 import numpy as np
-from persem_ros.outputs.messages import DATATYPES, PIXELS
+from persem_ros.outputs.recording.messages import DATATYPES, PIXELS
 from sensor_msgs.msg import Image, PointCloud2, PointField
 from std_msgs.msg import Header
 

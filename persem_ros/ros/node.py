@@ -3,12 +3,11 @@
 import logging
 from pathlib import Path
 
-from persem_ros.core.dump import dump
+from persem_ros.core.memory.dump import dump
 from persem_ros.errors import PersemError
-from persem_ros.inputs.decode import Decoder
+from persem_ros.inputs.decode.serialized import Decoder
 from persem_ros.inputs.live import LiveIntake
-from persem_ros.legend import Legend, load_legend
-from persem_ros.outputs import store
+from persem_ros.outputs.map import store
 from persem_ros.ros.counters import Statistics
 from persem_ros.ros.diagnostics import Diagnostics
 from persem_ros.ros.images import ImageOutputs
@@ -19,6 +18,7 @@ from persem_ros.ros.parameters import Parameters
 from persem_ros.ros.services import Services
 from persem_ros.ros.watchdog import Watchdog
 from persem_ros.ros.worker import Worker
+from persem_ros.settings.legend import Legend, load_legend
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor

@@ -2,10 +2,10 @@
 
 from array import array
 
-from persem_ros.config import nearest, settings, topics_of, updated
-from persem_ros.config_file import comment, from_values, NODE_DEFAULTS, span
 from persem_ros.errors import PersemError
-from persem_ros.parameter_file import ROS_OWN
+from persem_ros.settings.config import nearest, settings, topics_of, updated
+from persem_ros.settings.config_file import comment, from_values, NODE_DEFAULTS, span
+from persem_ros.settings.parameter_file import ROS_OWN
 from rcl_interfaces.msg import (
     FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult)
 
@@ -25,7 +25,7 @@ class Parameters:
 
     Attributes
     ----------
-    config : persem_ros.config.Config
+    config : persem_ros.settings.config.Config
         What is in force.
 
     Raises

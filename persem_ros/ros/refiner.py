@@ -7,7 +7,7 @@ import threading
 import time
 
 from persem_ros.core.jit import work_alone
-from persem_ros.core.refine import abandon, begin, finish
+from persem_ros.core.refine.job import abandon, begin, finish
 from persem_ros.errors import PersemError
 
 NICE = 10       # above the priority of the process, where 19 is least

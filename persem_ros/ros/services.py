@@ -4,9 +4,9 @@ from concurrent.futures import ThreadPoolExecutor
 import logging
 from pathlib import Path
 
-from persem_ros.core.dump import dump
+from persem_ros.core.memory.dump import dump
 from persem_ros.errors import PersemError
-from persem_ros.outputs import store
+from persem_ros.outputs.map import store
 from rclpy.callback_groups import ReentrantCallbackGroup
 from std_srvs.srv import Trigger
 
@@ -25,7 +25,7 @@ class Services:
     node : rclpy.node.Node
     worker : persem_ros.ros.worker.Worker
     legend : callable
-        legend() gives the persem_ros.legend.Legend in force.
+        legend() gives the persem_ros.settings.legend.Legend in force.
 
     """
 

@@ -8,12 +8,12 @@ import threading
 import time
 
 import numpy as np
-from persem_ros.core.evict import keep_near
+from persem_ros.core.frame.render import render
 from persem_ros.core.jit import Announcement
-from persem_ros.core.render import render
+from persem_ros.core.memory.evict import keep_near
 from persem_ros.core.warmup import warm_up
 from persem_ros.errors import PersemError
-from persem_ros.inputs.sync import QUEUE_FULL
+from persem_ros.inputs.sync.pairing import QUEUE_FULL
 from persem_ros.pipeline import Pipeline
 from persem_ros.ros.images import NO_SOURCE
 from persem_ros.ros.refiner import Refiner
@@ -30,9 +30,9 @@ class Worker(threading.Thread):
 
     Parameters
     ----------
-    config : persem_ros.config.Config
+    config : persem_ros.settings.config.Config
     statistics : persem_ros.ros.counters.Statistics
-    memory : persem_ros.core.memory.VoxelMemory, optional
+    memory : persem_ros.core.memory.voxel_memory.VoxelMemory, optional
         A map to go on with.
     alive : callable
         alive() says whether ROS is still there to publish to.

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from persem_ros.frames import Frame, IGNORED, pinhole
-from persem_ros.inputs.poses import interpolated
-from persem_ros.legend import load_legend
+from persem_ros.inputs.sync.poses import interpolated
+from persem_ros.settings.legend import load_legend
 from persem_ros.simulate.materials import VOID
 from persem_ros.simulate.path import make_path, rotation
 from persem_ros.simulate.plan import check, Plan
@@ -125,7 +125,7 @@ class Flight:
 
     def record(self, writer, progress=iter):
         """
-        Write the flight to a persem_ros.outputs.recording.RecordingWriter.
+        Write the flight to a persem_ros.outputs.recording.writer.RecordingWriter.
 
         Topics are the defaults of the settings. *progress* wraps the iterator of shots.
 

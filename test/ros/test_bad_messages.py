@@ -105,7 +105,7 @@ def test_sizes_and_encodings_that_change_in_flight(ros, tmp_path):
     player.messages = whole[:third]
     player.play()
     mapper.frames(2)
-    from persem_ros.outputs.messages import MessageFactory
+    from persem_ros.outputs.recording.messages import MessageFactory
     from rosbags.typesys import get_typestore, Stores
     import numpy as np
     store = get_typestore(Stores.ROS2_JAZZY)

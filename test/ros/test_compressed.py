@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import cv2
 import numpy as np
-from persem_ros.inputs import messages
+from persem_ros.inputs.decode import messages
 
 HEADER = bytes(12)      # compressedDepth: quantisation that only float images use
 

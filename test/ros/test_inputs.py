@@ -3,9 +3,9 @@
 import bags
 from harness import BEST_EFFORT, LATCHED, Player, RELIABLE, until
 import numpy as np
-from persem_ros.inputs import messages
-from persem_ros.outputs import store
-from persem_ros.outputs.recording import RecordingWriter
+from persem_ros.inputs.decode import messages
+from persem_ros.outputs.map import store
+from persem_ros.outputs.recording.writer import RecordingWriter
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import String
 from test_compressed import png_of, rvl_of

@@ -4,7 +4,7 @@ import subprocess
 
 import bags
 from harness import ended, until
-from persem_ros.outputs import store
+from persem_ros.outputs.map import store
 
 FRAMES = 10
 

@@ -3,11 +3,11 @@
 import bags
 from harness import LATCHED, SETTINGS
 import numpy as np
-from persem_ros.config import Config, updated
-from persem_ros.inputs import messages
-from persem_ros.outputs import store
-from persem_ros.outputs.cloud import POINT
+from persem_ros.inputs.decode import messages
+from persem_ros.outputs.map import store
+from persem_ros.outputs.map.cloud import POINT
 from persem_ros.replay import replay
+from persem_ros.settings.config import Config, updated
 from sensor_msgs.msg import Image, PointCloud2
 
 FRAMES = 40

@@ -3,9 +3,9 @@
 import bags
 from harness import LATCHED, Player, until
 import numpy as np
-from persem_ros.legend import load_legend
-from persem_ros.outputs.cloud import POINT
-from persem_ros.outputs.recording import RecordingWriter
+from persem_ros.outputs.map.cloud import POINT
+from persem_ros.outputs.recording.writer import RecordingWriter
+from persem_ros.settings.legend import load_legend
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import Image, PointCloud2

@@ -4,7 +4,7 @@ import subprocess
 
 import bags
 from harness import Player, SETTINGS, until
-from persem_ros.config import settings
+from persem_ros.settings.config import settings
 import pytest
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters

@@ -3,7 +3,7 @@
 import bags
 from harness import Player, until
 import numpy as np
-from persem_ros.outputs import store
+from persem_ros.outputs.map import store
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from test_live_equals_replay import replayed

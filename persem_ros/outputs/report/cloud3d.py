@@ -24,7 +24,7 @@ def packed(columns, voxel_size, legend, track=()):
         VoxelMemory.voxels().
     voxel_size : float
         Metres.
-    legend : persem_ros.legend.Legend
+    legend : persem_ros.settings.legend.Legend
         Gives each label its colour.
     track : sequence of ndarray, shape (n, 3)
         Camera positions in metres in the voxels' frame, a line each.

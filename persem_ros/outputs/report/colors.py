@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-# In the order of outputs.cloud.SOURCES: majority, history, trust, context.
+# In the order of outputs.map.cloud.SOURCES: majority, history, trust, context.
 SOURCE_COLORS = ((86, 180, 233), (230, 159, 0), (0, 158, 115), (204, 121, 167))
 SOURCE_TEXTS = {
     'majority': 'the most evidence of the voxel itself',

@@ -18,7 +18,7 @@ def top_view(columns, voxel_size, legend):
         VoxelMemory.voxels(): sorted by voxel index.
     voxel_size : float
         Metres.
-    legend : persem_ros.legend.Legend
+    legend : persem_ros.settings.legend.Legend
         Gives each label its colour.
 
     Returns

@@ -8,7 +8,7 @@ import jinja2
 import numpy as np
 
 from persem_ros.frames import UNKNOWN
-from persem_ros.outputs.cloud import SOURCES
+from persem_ros.outputs.map.cloud import SOURCES
 from persem_ros.outputs.report import cloud3d, colors, maps, series, tables
 from persem_ros.outputs.report.png import data_uri, png
 

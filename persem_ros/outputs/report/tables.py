@@ -2,8 +2,8 @@
 
 import shlex
 
-from persem_ros import config_file
-from persem_ros.config import Config, settings
+from persem_ros.settings import config_file
+from persem_ros.settings.config import Config, settings
 
 BETTER = {'pixel_accuracy': 1, 'miou': 1, 'flicker': -1}
 MEASURES = ('pixel_accuracy', 'miou', 'flicker')
@@ -79,7 +79,7 @@ def legend_rows(legend, voxels, shown=()):
 
     Parameters
     ----------
-    legend : persem_ros.legend.Legend
+    legend : persem_ros.settings.legend.Legend
         In force.
     voxels : dict of int to int
         Number of voxels by label.

@@ -1,0 +1,148 @@
+"""The image front end: a label and a depth image become labelled points (spec section 1)."""
+
+import numpy as np
+from persem_ros.core.frame.observe import key_of, placing
+from persem_ros.core.frame.render import nearest
+from persem_ros.core.jit import kernel, split
+from persem_ros.errors import PersemError
+from persem_ros.frames import IGNORED, MAX_ID
+
+
+def points(frame, settings):
+    """
+    Return the labelled points of a frame, one per depth pixel.
+
+    Parameters
+    ----------
+    frame : persem_ros.frames.Frame
+        Labels, depth and camera.
+    settings : persem_ros.settings.config.Memory
+        Depth range, stride, ignored and dynamic labels.
+
+    Returns
+    -------
+    points : ndarray, shape (h * w, 3), float64
+        Metres in the optical frame, row by row; NaN where depth is missing or out of range.
+    labels : ndarray, shape (h * w,), int32
+        The pixel's id; -1 where it does not count.
+
+    """
+    return backprojected(frame, settings), counted_labels(frame, settings)
+
+
+def counted_labels(frame, settings):
+    """Return the labels alone, as in points()."""
+    return counted(resampled(frame.labels, frame.depth.shape), settings).reshape(-1)
+
+
+def placed(frame, settings, voxel_size, origin):
+    """
+    Return the voxels of a frame's pixels as (keys, base) of core.frame.observe.place().
+
+    The same as place(backprojected(...)), without the points in between: that is a twelfth of
+    the time of integrating a frame.
+
+    """
+    depth = np.require(frame.depth, np.float64, 'CW')
+    rays = np.require(frame.camera.rays, np.float64, 'CW')
+    pose, base = placing(frame.T_map_camera, voxel_size, origin)
+    keys = np.empty(depth.shape, np.int64)
+    split(_place, depth.shape[0], depth, rays, float(settings.min_depth),
+          float(settings.max_depth), pose, base, float(voxel_size), keys, grain=64)
+    return keys.reshape(-1), base.astype(np.int64)
+
+
+def backprojected(frame, settings):
+    """Return the points alone, as in points()."""
+    depth = np.require(frame.depth, np.float64, 'CW')
+    rays = np.require(frame.camera.rays, np.float64, 'CW')
+    result = np.empty(depth.shape + (3,))
+    split(backproject, depth.shape[0], depth, rays, float(settings.min_depth),
+          float(settings.max_depth), result, grain=64)
+    return result.reshape(-1, 3)
+
+
+def resampled(labels, shape):
+    """
+    Return *labels* on a grid of another size and the same aspect ratio, nearest pixel.
+
+    Raises
+    ------
+    PersemError
+        Where the aspect ratios differ by more than a pixel's rounding.
+
+    """
+    labels = np.asarray(labels)
+    check_aspect(labels.shape, shape)
+    return nearest(labels, shape)
+
+
+def check_aspect(labels, depth):
+    """Refuse label and depth images whose shapes (rows, columns) are not proportional."""
+    (H, W), (h, w) = labels, depth
+    if abs(H * w - h * W) > max(H, W, h, w):
+        raise PersemError(
+            f'label image {W} x {H} and depth image {w} x {h} differ in shape: expected one '
+            'aspect ratio (crop or register one of them)')
+
+
+def counted(labels, settings):
+    """Return a copy of *labels*, int32, with -1 for each pixel that does not count."""
+    table = _table(tuple(settings.ignore_labels), tuple(settings.dynamic_labels))
+    labels = np.require(labels, np.int32, 'CW')
+    result = np.empty(labels.shape, np.int32)
+    split(_count, labels.shape[0], labels, table, result, grain=64)
+    if settings.stride > 1:
+        left_out = np.ones(labels.shape, bool)
+        left_out[::settings.stride, ::settings.stride] = False
+        result[left_out] = IGNORED
+    return result
+
+
+_tables = {}
+
+
+def _table(ignored, dynamic):
+    """Return a look-up table id -> id or -1 for 0 .. 65534."""
+    key = ignored + dynamic
+    if key not in _tables:
+        table = np.arange(MAX_ID + 1, dtype=np.int32)
+        table[[c for c in key if 0 <= c <= MAX_ID]] = IGNORED
+        _tables[key] = table
+    return _tables[key]
+
+
+@kernel
+def _count(begin, end, labels, table, out):
+    """Write the id of each pixel of rows begin .. end that counts, -1 for the others."""
+    for v in range(begin, end):
+        for u in range(labels.shape[1]):
+            c = labels[v, u]
+            out[v, u] = table[c] if 0 <= c <= MAX_ID else IGNORED
+
+
+@kernel
+def _place(begin, end, depth, rays, min_depth, max_depth, pose, base, voxel_size, keys):
+    """Write the key of each pixel's voxel in rows begin .. end."""
+    for v in range(begin, end):
+        for u in range(depth.shape[1]):
+            d = depth[v, u]
+            if not (min_depth <= d <= max_depth and d > 0.0):
+                d = np.nan
+            keys[v, u] = key_of(rays[v, u, 0] * d, rays[v, u, 1] * d, d, pose, base, voxel_size)
+
+
+@kernel
+def backproject(start, stop, depth, rays, min_depth, max_depth, out):
+    """Write (x, y, z) = (ray * d, d) of rows start .. stop; NaN where d is no measurement."""
+    for v in range(start, stop):
+        for u in range(depth.shape[1]):
+            d = depth[v, u]
+            if min_depth <= d <= max_depth and d > 0.0:
+                out[v, u, 0] = rays[v, u, 0] * d
+                out[v, u, 1] = rays[v, u, 1] * d
+                out[v, u, 2] = d
+            else:
+                out[v, u, 0] = np.nan
+                out[v, u, 1] = np.nan
+                out[v, u, 2] = np.nan

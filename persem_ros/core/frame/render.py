@@ -1,0 +1,130 @@
+"""Reprojection: labels of voxels become a label image (spec section 5)."""
+
+import numpy as np
+from persem_ros.core.frame.observe import NOWHERE, REACH
+from persem_ros.core.jit import kernel, split
+from persem_ros.core.memory.blocks import find_block
+from persem_ros.core.memory.pools import SIDE
+from persem_ros.frames import UNKNOWN
+
+
+def voxel_image(memory, observations, shape):
+    """
+    Return the voxel number of each pixel, shape *shape*, int32; -1: no depth or unknown.
+
+    observations is what core.frame.observe.observe returned for the pixels' points.
+
+    """
+    numbers = memory.find(observations.voxels)
+    image = np.empty(observations.where.shape, np.int32)
+    split(_number, len(image), observations.where, numbers, image, grain=65536)
+    return image.reshape(shape)
+
+
+def voxel_image_of(memory, keys, base, shape):
+    """Return the same for pixels that were placed (core.frame.observe.place) and not observed."""
+    image = np.empty(len(keys), np.int32)
+    split(_find, len(keys), memory.m.blocks, memory.table, keys, base, image, grain=32768)
+    return image.reshape(shape)
+
+
+def render(voxels, labels):
+    """
+    Return the label image of a voxel image.
+
+    Parameters
+    ----------
+    voxels : ndarray, shape (h, w), int32
+        Voxel numbers; -1: unknown.
+    labels : ndarray, shape (voxels of the map,), uint16
+        By voxel number.
+
+    Returns
+    -------
+    ndarray, shape (h, w), uint16
+        UNKNOWN (65535) where the map knows nothing.
+
+    """
+    voxels = np.require(voxels, np.int32, 'CW')
+    labels = np.require(labels, np.uint16, 'CW')
+    image = np.empty(voxels.shape, np.uint16)
+    split(_label, voxels.size, voxels.reshape(-1), labels, image.reshape(-1), grain=65536)
+    return image
+
+
+def filled(image, labels, settings, fill='input', unknown=UNKNOWN):
+    """
+    Return the refined label image on the grid of the frame's labels, as int32.
+
+    Parameters
+    ----------
+    image : ndarray, shape (h, w), uint16
+        What render() returned, on the depth grid.
+    labels : ndarray, shape (H, W), int32
+        The frame's own labels.
+    settings : persem_ros.settings.config.Memory
+        Dynamic labels pass through unchanged.
+    fill : {'input', 'unknown'}
+        What a pixel gets that the map does not know: its own label or *unknown*.
+    unknown : int
+        The ignored id.
+
+    """
+    labels = np.asarray(labels)
+    result = nearest(image, labels.shape).astype(np.int32)
+    missing = result == UNKNOWN
+    if fill == 'input':
+        np.copyto(result, labels, where=missing)
+    else:
+        result[missing] = unknown
+    for c in settings.dynamic_labels:
+        if c >= 0:
+            result[labels == c] = c
+    return result
+
+
+def nearest(image, shape):
+    """Return *image* on a grid of another size, nearest pixel."""
+    (h, w), (H, W) = image.shape, shape
+    if (h, w) == (H, W):
+        return image
+    rows = np.minimum(((np.arange(H) + 0.5) * h / H).astype(np.int64), h - 1)
+    columns = np.minimum(((np.arange(W) + 0.5) * w / W).astype(np.int64), w - 1)
+    return image[rows[:, None], columns[None, :]]
+
+
+@kernel
+def _number(begin, end, where, numbers, image):
+    """Write the voxel number of each point."""
+    for p in range(begin, end):
+        g = where[p]
+        image[p] = numbers[g] if g >= 0 else -1
+
+
+@kernel
+def _find(begin, end, blocks, table, keys, base, image):
+    """Write the voxel number of each key (core.frame.observe.place)."""
+    b = np.int64(-1)
+    oi, oj, ok = np.int64(1 << 40), np.int64(0), np.int64(0)
+    for p in range(begin, end):
+        key = keys[p]
+        image[p] = -1
+        if key == NOWHERE:
+            continue
+        i = (key >> 42) - REACH + base[0]
+        j = (key >> 21 & 0x1fffff) - REACH + base[1]
+        k = (key & 0x1fffff) - REACH + base[2]
+        if i >> 3 != oi or j >> 3 != oj or k >> 3 != ok:    # most follow one of the same block
+            oi, oj, ok = i >> 3, j >> 3, k >> 3
+            b = find_block(blocks, table, oi, oj, ok)
+        if b >= 0:
+            cells = blocks[b].cells
+            image[p] = np.int64(cells[((i & 7) * SIDE + (j & 7)) * SIDE + (k & 7)]) - 1
+
+
+@kernel
+def _label(begin, end, voxels, labels, image):
+    """Write the label of each pixel's voxel."""
+    for p in range(begin, end):
+        v = voxels[p]
+        image[p] = labels[v] if v >= 0 else UNKNOWN

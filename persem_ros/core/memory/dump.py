@@ -1,0 +1,202 @@
+"""A whole memory as plain arrays, and back: what a map file holds (spec section 8)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from persem_ros.core.jit import kernel
+from persem_ros.core.memory.append import new_link, write
+from persem_ros.core.memory.blocks import make_block, new_table
+from persem_ros.core.memory.evidence import add_evidence, count_classes, read_evidence
+from persem_ros.core.memory.history import link_of
+from persem_ros.core.memory.pools import CHUNK, OBSERVATIONS, STORED, VOXELS
+from persem_ros.core.memory.voxel_memory import FrameRecord, sort_order, VoxelMemory
+
+
+@dataclass(frozen=True, eq=False)
+class MemoryDump:
+    """
+    Everything that a VoxelMemory knows.
+
+    Blocks are sorted by index, voxels by cell within their block.
+
+    Attributes
+    ----------
+    voxel_size : float
+    origin : tuple of 3 floats
+    max_history, session : int
+    block_index : ndarray, shape (B, 3), int32
+    block_start : ndarray, shape (B + 1,), int64
+        Block b's voxels are rows block_start[b] : block_start[b + 1] of the columns below.
+    cell : ndarray, shape (n,), uint16
+    observations, switches : ndarray, shape (n,), uint32
+    label, majority, last : ndarray, shape (n,), uint16
+    source, dirty : ndarray, shape (n,), uint8
+    evidence_start : ndarray, shape (n + 1,), int64
+    evidence_class : ndarray, uint16
+    evidence_sum : ndarray, float64
+        In order of appearance.
+    history_start : ndarray, shape (n + 1,), int64
+    history_label : ndarray, uint16
+    history_confidence : ndarray, float32
+    history_t : ndarray, int32
+    starts, changes : ndarray, shape (65536,), int64
+        Class volatility's counters.
+    seen_ids : ndarray, shape (65536,), uint8
+    rho : ndarray, shape (65536,), float64, or None
+    frames : list of core.memory.voxel_memory.FrameRecord
+
+    """
+
+    voxel_size: float
+    origin: tuple
+    max_history: int
+    session: int
+    block_index: np.ndarray
+    block_start: np.ndarray
+    cell: np.ndarray
+    observations: np.ndarray
+    switches: np.ndarray
+    label: np.ndarray
+    majority: np.ndarray
+    last: np.ndarray
+    source: np.ndarray
+    dirty: np.ndarray
+    evidence_start: np.ndarray
+    evidence_class: np.ndarray
+    evidence_sum: np.ndarray
+    history_start: np.ndarray
+    history_label: np.ndarray
+    history_confidence: np.ndarray
+    history_t: np.ndarray
+    starts: np.ndarray
+    changes: np.ndarray
+    seen_ids: np.ndarray
+    rho: object
+    frames: list
+
+
+def dump(memory):
+    """Return the MemoryDump of a VoxelMemory; the arrays are copies."""
+    pools = memory.m
+    live = np.flatnonzero(pools.blocks['near'][:memory.n_blocks, 13])
+    order = live[sort_order(pools.blocks['index'][live])]
+    block, cell, number = _listing(memory, order)
+    records = pools.voxels[number]
+    observations = records['n']
+    stored = observations.astype(np.int64) - records['first']
+    if memory.max_history:
+        stored = np.minimum(stored, memory.max_history)
+    evidence_start, history_start = (np.zeros(len(number) + 1, np.int64) for _ in range(2))
+    np.cumsum(stored, out=history_start[1:])
+    _class_counts(pools.voxels, pools.spills, number, evidence_start[1:])
+    np.cumsum(evidence_start, out=evidence_start)
+    evidence = np.empty(evidence_start[-1], np.uint16), np.empty(evidence_start[-1])
+    history = tuple(np.empty(history_start[-1], t) for t in (np.uint16, np.float32, np.int32))
+    _read(pools.voxels, pools.links, pools.spills, number, evidence_start, *evidence,
+          history_start, *history)
+    counts = pools.blocks['count'][order].astype(np.int64)
+    return MemoryDump(
+        memory.voxel_size, memory.origin, memory.max_history, memory.session,
+        pools.blocks['index'][order], np.concatenate([[0], np.cumsum(counts)]),
+        cell.astype(np.uint16), observations, records['switches'], records['label'],
+        records['majority'], records['last'], records['source'],
+        pools.blocks['changed'][block, cell >> 3] >> (cell & 7).astype(np.uint8) & 1,
+        evidence_start, *evidence, history_start, *history, pools.starts.copy(),
+        pools.changes.copy(), memory.seen_ids.copy(),
+        None if memory.rho is None else memory.rho.copy(), list(memory.frames))
+
+
+def load(saved):
+    """Return a VoxelMemory that goes on exactly where the dumped one stood."""
+    memory = VoxelMemory(saved.voxel_size, saved.origin, saved.max_history)
+    n = len(saved.cell)
+    memory.store.check_room(len(saved.history_t) // CHUNK + 2 * n + len(saved.evidence_sum))
+    memory.table = new_table(len(saved.block_index) + 512)
+    _write(memory.m, memory.table, saved.block_index, saved.block_start, saved.cell,
+           saved.observations, saved.evidence_start, saved.evidence_class, saved.evidence_sum,
+           saved.history_start, saved.history_label, saved.history_confidence, saved.history_t)
+    voxels = memory.m.voxels[:n]
+    for field, column in (('switches', saved.switches), ('label', saved.label),
+                          ('majority', saved.majority), ('last', saved.last),
+                          ('source', saved.source)):
+        voxels[field] = column
+    block = np.repeat(np.arange(len(saved.block_index)), np.diff(saved.block_start))
+    _mark_changed(memory.m.blocks, block, saved.cell, saved.dirty)
+    memory.m.used[OBSERVATIONS] = int(saved.observations.sum(dtype=np.int64))
+    memory.m.used[STORED] = len(saved.history_t)
+    memory.m.starts[:] = saved.starts
+    memory.m.changes[:] = saved.changes
+    memory.seen_ids[:] = saved.seen_ids
+    memory.rho = None if saved.rho is None else saved.rho.copy()
+    memory.resume([FrameRecord(*vars(frame).values()) for frame in saved.frames], saved.session)
+    return memory
+
+
+def _listing(memory, order):
+    """Return (block, cell, number) of all voxels, blocks in the given order."""
+    block, cell, number = memory.listing()
+    rank = np.empty(memory.n_blocks, np.int64)
+    rank[order] = np.arange(len(order))
+    by_rank = np.argsort(rank[block], kind='stable')
+    return block[by_rank], cell[by_rank], number[by_rank]
+
+
+@kernel
+def _class_counts(voxels, spills, number, counts):
+    """Write how many classes each voxel has seen."""
+    for r in range(len(number)):
+        counts[r] = count_classes(voxels[number[r]], spills)
+
+
+@kernel
+def _read(voxels, links, spills, number, evidence_start, classes, sums, history_start, labels,
+          confidences, times):
+    """Copy evidence and histories of the voxels to the columns."""
+    for r in range(len(number)):
+        voxel = voxels[number[r]]
+        read_evidence(voxel, spills, classes, sums, evidence_start[r])
+        n, out = np.int64(voxel.n), history_start[r]
+        begin = n - (history_start[r + 1] - history_start[r])
+        link = link_of(links, voxel.head, voxel.first, begin)
+        for i in range(begin, n):
+            if i > begin and i % CHUNK == 0:
+                link = np.int64(links[link - 1].next)
+            record = links[link - 1]
+            labels[out] = record.c[i % CHUNK]
+            confidences[out] = record.s[i % CHUNK]
+            times[out] = record.t[i % CHUNK]
+            out += 1
+
+
+@kernel
+def _write(pools, table, index, block_start, cell, observations, evidence_start, classes, sums,
+           history_start, labels, confidences, times):
+    """Fill empty pools from the columns; voxel numbers become row numbers."""
+    blocks, voxels, links, spills, free, retired, used, starts, changes = pools
+    for b in range(len(index)):
+        made = make_block(blocks, used, table, np.int64(index[b, 0]), np.int64(index[b, 1]),
+                          np.int64(index[b, 2]))
+        for v in range(block_start[b], block_start[b + 1]):
+            blocks[made].cells[np.int64(cell[v])] = v + 1
+            blocks[made].count += 1
+            for e in range(evidence_start[v], evidence_start[v + 1]):
+                add_evidence(voxels[v], spills, used, classes[e], sums[e])
+            n = np.int64(observations[v]) - (history_start[v + 1] - history_start[v])
+            for h in range(history_start[v], history_start[v + 1]):
+                if n % CHUNK == 0 or voxels[v].tail == 0:
+                    new_link(voxels[v], links, free, used, n)
+                write(links[np.int64(voxels[v].tail) - 1], n % CHUNK, labels[h], confidences[h],
+                      times[h])
+                n += 1
+            voxels[v].n = n
+    used[VOXELS] = len(cell)
+
+
+@kernel
+def _mark_changed(blocks, block, cell, dirty):
+    """Mark the cells whose evidence has changed since a refinement began."""
+    for v in range(len(cell)):
+        if dirty[v]:
+            changed = blocks[block[v]].changed
+            changed[np.int64(cell[v]) >> 3] |= np.uint8(1 << (np.int64(cell[v]) & 7))
+            blocks[block[v]].dirty = 1

@@ -1,0 +1,118 @@
+"""Letting go of what is far away, so that a long flight fits a bounded memory."""
+
+import numpy as np
+from persem_ros.core.jit import inlined, kernel
+from persem_ros.core.memory.blocks import new_table, rehash
+from persem_ros.core.memory.pools import (
+    CELLS, FIRST_BLOCK, FIRST_SPILL, FIRST_VOXEL, FREE, FREE_BLOCKS, FREE_SPILLS, FREE_VOXELS,
+    INLINE, ROWS, SIDE, STORED)
+
+
+def keep_near(memory, position, radius=0.0, max_voxels=0):
+    """
+    Drop the blocks farther than *radius* from *position*, then the farthest beyond *max_voxels*.
+
+    Class volatility and the number of observations keep counting what was dropped.
+
+    Parameters
+    ----------
+    memory : core.memory.voxel_memory.VoxelMemory
+        The map.
+    position : sequence of 3 floats
+        Metres in the map frame.
+    radius : float
+        Metres; 0: no limit.
+    max_voxels : int
+        0: no limit. When there are more, a tenth more than necessary goes, so that not every
+        frame has to drop some.
+
+    Returns
+    -------
+    int
+        Number of voxels dropped; 0 while a refinement is under way, which may still read them.
+
+    """
+    crowded = 0 < max_voxels < memory.n_voxels
+    if memory.refinements or not memory.n_voxels or not (radius > 0 or crowded):
+        return 0
+    blocks = memory.m.blocks[:memory.n_blocks]
+    live = np.flatnonzero(blocks['near'][:, 13])
+    edge = SIDE * memory.voxel_size
+    away = (blocks['index'][live] + 0.5) * edge - (np.asarray(position) - memory.origin)
+    distance = np.linalg.norm(away, axis=1)
+    order = np.argsort(-distance, kind='stable')
+    dropped = np.zeros(len(live), bool)
+    if radius > 0:
+        dropped |= distance > radius
+    if crowded:
+        counts = blocks['count'][live[order]].astype(np.int64)
+        excess = memory.n_voxels - int(0.9 * max_voxels)
+        dropped[order[np.cumsum(counts) - counts < excess]] = True
+    if not dropped.any():
+        return 0
+    before = memory.n_voxels
+    drop(memory, live[dropped])
+    return before - memory.n_voxels
+
+
+def drop(memory, numbers):
+    """Drop whole blocks by number, when no refinement is under way; all else is revisited."""
+    _drop(memory.m, np.asarray(numbers, np.int64))
+    memory.table = new_table(memory.n_blocks + 512)
+    rehash(memory.m.blocks, memory.m.used, memory.table)
+    memory.refined_with = None      # neighbourhoods have changed
+
+
+@kernel
+def _drop(pools, numbers):
+    """Give the records of the blocks back to their pools, zeroed."""
+    blocks, voxels, links, spills, free, retired, used, starts, changes = pools
+    for b in numbers:
+        block = blocks[b]
+        cells, near, changed = block.cells, block.near, block.changed
+        for cell in range(CELLS):
+            v = np.int64(cells[cell]) - 1
+            if v < 0:
+                continue
+            cells[cell] = 0
+            voxel = voxels[v]
+            used[STORED] -= np.int64(voxel.n) - np.int64(voxel.first)
+            link = np.int64(voxel.head)
+            while link > 0:
+                free[used[FREE]] = link - 1
+                used[FREE] += 1
+                link = np.int64(links[link - 1].next)
+            number = np.int64(voxel.more)
+            while number > 0:
+                after = np.int64(spills[number - 1].next)
+                _clear(spills[number - 1])
+                spills[number - 1].next = used[FIRST_SPILL]
+                used[FIRST_SPILL] = number
+                used[FREE_SPILLS] += 1
+                number = after
+            _clear(voxel)
+            voxel.n = voxel.switches = voxel.tail = voxel.first = voxel.more = 0
+            voxel.majority = voxel.label = voxel.last = voxel.source = 0
+            voxel.head = used[FIRST_VOXEL]
+            used[FIRST_VOXEL] = v + 1
+            used[FREE_VOXELS] += 1
+        for d in range(27):
+            if near[d] > 0:
+                beside = blocks[np.int64(near[d]) - 1].near
+                beside[26 - d] = 0
+                near[d] = 0
+        for row in range(ROWS):
+            changed[row] = 0
+        block.dirty = 0
+        block.count = used[FIRST_BLOCK]
+        used[FIRST_BLOCK] = b + 1
+        used[FREE_BLOCKS] += 1
+
+
+@inlined
+def _clear(record):
+    """Forget the evidence of a voxel or spill record."""
+    sums, classes = record.sums, record.classes
+    for k in range(INLINE):
+        sums[k] = 0.0
+        classes[k] = 0

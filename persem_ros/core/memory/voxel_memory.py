@@ -1,0 +1,287 @@
+"""The map: for every world voxel the history of what was seen there (spec section 2)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from persem_ros.core.jit import kernel, split
+from persem_ros.core.memory.append import add_observations, release_links
+from persem_ros.core.memory.blocks import find_voxels, list_voxels, new_table, rehash
+from persem_ros.core.memory.evidence import read_evidence
+from persem_ros.core.memory.pools import (
+    BLOCKS, CHUNK, FREE_VOXELS, OBSERVATIONS, Store, STORED, VOXELS)
+from persem_ros.errors import PersemError
+
+
+@dataclass(frozen=True, eq=False)
+class FrameRecord:
+    """A row of the frame table: when, by what and from where the map was looked at."""
+
+    t: int
+    session: int
+    sensor: str
+    stamp: int
+    T_map_sensor: np.ndarray
+
+
+class VoxelMemory:
+    """
+    Voxels in blocks of 8 x 8 x 8, each with its observation history and class evidence.
+
+    One thread adds, reads and begins refinements; a refinement computes beside it on the
+    snapshot that it was handed (core.snapshot).
+
+    Parameters
+    ----------
+    voxel_size : float
+        Metres.
+    origin : sequence of 3 floats
+        Point of the map frame, metres, from which voxels are counted.
+    max_history : int
+        Newest observations kept for the replay of spec section 3; 0: all. Evidence, observation
+        counts and volatility always cover everything.
+
+    """
+
+    def __init__(self, voxel_size, origin=(0.0, 0.0, 0.0), max_history=0):
+        self.voxel_size = float(voxel_size)
+        self.origin = tuple(float(x) for x in origin)
+        self.max_history = int(max_history)
+        self.session = 0
+        self.frames = []
+        self.seen_ids = np.zeros(65536, np.uint8)   # ids of all counted pixels (section 4)
+        self.rho = None             # class volatility of the last full refinement
+        self.refined_with = None    # settings of the last refinement; None: visit all next time
+        self.refinements = 0        # under way: their links must not be used again
+        self.store = Store()
+        self.table = new_table(512)
+        self._t_of_stamp = {}
+        self._next_t = 0
+
+    @property
+    def m(self):
+        """Return the pools' arrays, for kernels."""
+        return self.store.arrays
+
+    @property
+    def n_voxels(self):
+        """Return number of observed voxels."""
+        return int(self.m.used[VOXELS] - self.m.used[FREE_VOXELS])
+
+    @property
+    def n_numbers(self):
+        """All voxel numbers are below this; equal to n_voxels where nothing was dropped."""
+        return int(self.m.used[VOXELS])
+
+    @property
+    def n_blocks(self):
+        """All block numbers are below this."""
+        return int(self.m.used[BLOCKS])
+
+    @property
+    def n_observations(self):
+        """Return number of observations ever added."""
+        return int(self.m.used[OBSERVATIONS])
+
+    def add(self, observations):
+        """
+        Append one frame's observations (core.frame.observe.Observations) to the voxels' histories.
+
+        Returns
+        -------
+        ndarray, shape (n,), int64
+            The voxel number of each row of observations.voxels, -1 where nothing was observed.
+            Numbers are places in memory: they hold until a block leaves it.
+
+        """
+        n = len(observations.labels)
+        self.store.check_room(n)
+        self._make_room(n)
+        if self.refinements == 0:
+            release_links(self.m.free, self.m.retired, self.m.used)
+        t = self._t(observations)
+        rows = np.empty(n, np.int64)
+        add_observations(self.m, self.table, observations.voxels, observations.labels,
+                         observations.confidences, t, self.max_history, rows)
+        self.seen_ids[observations.ids] = 1
+        return rows
+
+    def find(self, voxels):
+        """Return the voxel numbers (n,) int64 of voxel indices (n, 3); -1 for unknown ones."""
+        voxels = np.require(voxels, np.int32, 'C').reshape(-1, 3)
+        out = np.empty(len(voxels), np.int64)
+        split(find_voxels, len(voxels), self.m.blocks, self.table, voxels, out, grain=16384)
+        return out
+
+    def new_session(self):
+        """Begin a session: its stamps are new even where they repeat earlier ones."""
+        self.session += 1
+        self._t_of_stamp = {}
+
+    def resume(self, frames, session):
+        """Take over the frame table of a saved map; it goes on in the same session."""
+        self.frames, self.session = list(frames), int(session)
+        self._t_of_stamp = {f.stamp: f.t for f in frames if f.session == self.session}
+        self._next_t = max((f.t for f in frames), default=-1) + 1
+
+    def volatility(self):
+        """
+        Return rho, shape (65536,), float64: P(the next label differs | this one's is c).
+
+        From two counters per class over all consecutive pairs of all histories; 0 where c
+        starts no pair.
+
+        """
+        starts = self.m.starts
+        return np.divide(self.m.changes, starts, out=np.zeros(65536), where=starts > 0)
+
+    def listing(self):
+        """Return (block, cell, voxel number), each (n,) int64, of all voxels, block by block."""
+        lists = tuple(np.empty(self.n_voxels, np.int64) for _ in range(3))
+        list_voxels(self.m.blocks, np.arange(self.n_blocks), *lists)
+        return lists
+
+    def voxels(self):
+        """
+        Return the map as columns, sorted by voxel index.
+
+        Returns
+        -------
+        dict
+            voxel (n, 3) int32, label, majority (n,) uint16, confidence (n,) float32 (p_v of the
+            label), observations (n,) uint32, switches (n,) uint32, source (n,) uint8, number
+            (n,) int64.
+
+        """
+        return ordered(self.columns())
+
+    def columns(self):
+        """
+        Return what voxels() does, unsorted: the part that only the mapping thread may do.
+
+        One pass over the records, a tenth of what sorting and gathering by column costs.
+
+        """
+        block, cell, number = self.listing()
+        n = len(number)
+        columns = {'voxel': np.empty((n, 3), np.int32), 'label': np.empty(n, np.uint16),
+                   'majority': np.empty(n, np.uint16), 'confidence': np.empty(n, np.float32),
+                   'observations': np.empty(n, np.uint32), 'switches': np.empty(n, np.uint32),
+                   'source': np.empty(n, np.uint8)}
+        split(copy_columns, n, self.m.blocks, self.m.voxels, self.m.spills, block, cell, number,
+              *columns.values())
+        return {**columns, 'number': number}
+
+    def number(self, voxel):
+        """Return the number of one voxel index (i, j, k); refuse one that was never seen."""
+        number = int(self.find(np.array([voxel], np.int32))[0])
+        if number < 0:
+            raise PersemError(f'voxel {tuple(int(i) for i in voxel)} was never observed')
+        return number
+
+    def history(self, voxel):
+        """Return the stored observations of a voxel: labels uint16, confidences f4, t int32."""
+        record, links = self.m.voxels[self.number(voxel)], self.m.links
+        n, first, link = int(record['n']), int(record['first']), int(record['head'])
+        chain = []
+        while link:
+            chain.append(link - 1)
+            link = int(links[link - 1]['next'])
+        oldest = max(first, n - self.max_history) if self.max_history else first
+        skipped = first // CHUNK * CHUNK        # number of the chain's first place
+        return tuple(links[name][chain].reshape(-1)[oldest - skipped:n - skipped]
+                     for name in 'cst')
+
+    def changed(self, voxel):
+        """Return whether a voxel's evidence changed since a refinement began."""
+        self.number(voxel)
+        blocks = self.m.blocks[:self.n_blocks]
+        x, y, z = (int(i) for i in voxel)
+        here = np.flatnonzero((blocks['index'] == (x >> 3, y >> 3, z >> 3)).all(axis=1))[0]
+        return bool(blocks['changed'][here, (x & 7) * 8 + (y & 7)] >> (z & 7) & 1)
+
+    def evidence(self, voxel):
+        """Return {class: h_v(class)} of a voxel."""
+        v = self.number(voxel)
+        classes, sums = np.empty(65536, np.uint16), np.empty(65536)
+        n = evidence_of(self.m.voxels, self.m.spills, v, classes, sums)
+        return dict(zip(classes[:n].tolist(), sums[:n].tolist()))
+
+    def nbytes(self):
+        """Return {what: bytes in use}, everything included, but for the frame table's poses."""
+        sizes = self.store.nbytes()
+        sizes['hash table'] = self.table.nbytes
+        sizes['classes'] = self.m.starts.nbytes + self.m.changes.nbytes + self.seen_ids.nbytes
+        return sizes
+
+    def _make_room(self, blocks):
+        """Let the hash table hold *blocks* more blocks at most half full."""
+        needed = self.n_blocks + blocks
+        if 2 * needed > len(self.table):
+            self.table = new_table(2 * needed)
+            rehash(self.m.blocks, self.m.used, self.table)
+
+    def _t(self, observations):
+        """Enter the frame into the table and return its t (spec section 1)."""
+        t = self._t_of_stamp.get(observations.stamp)
+        if t is None:
+            t, self._next_t = self._next_t, self._next_t + 1
+            self._t_of_stamp[observations.stamp] = t
+        self.frames.append(FrameRecord(t, self.session, observations.sensor, observations.stamp,
+                                       observations.T_map_sensor))
+        return t
+
+
+def ordered(columns):
+    """Return columns of voxels sorted by voxel index."""
+    order = sort_order(columns['voxel'])
+    return {name: column[order] for name, column in columns.items()}
+
+
+@kernel
+def copy_columns(start, stop, blocks, voxels, spills, block, cell, number, index, label, majority,
+                 confidence, observations, switches, source):
+    """Copy each voxel's record to the columns; confidence is p_v of its label, 0 for none."""
+    classes = np.empty(65536, np.uint16)
+    sums = np.empty(65536)
+    for p in range(start, stop):
+        corner = blocks[block[p]].index
+        index[p, 0] = corner[0] * 8 + (cell[p] >> 6)
+        index[p, 1] = corner[1] * 8 + (cell[p] >> 3 & 7)
+        index[p, 2] = corner[2] * 8 + (cell[p] & 7)
+        voxel = voxels[number[p]]
+        label[p] = voxel.label
+        majority[p] = voxel.majority
+        observations[p] = voxel.n
+        switches[p] = voxel.switches
+        source[p] = voxel.source
+        n = read_evidence(voxel, spills, classes, sums, 0)
+        total, own = 0.0, 0.0
+        for k in range(n):
+            total += sums[k]
+            if classes[k] == voxel.label:
+                own = sums[k]
+        confidence[p] = own / total
+
+
+@kernel
+def evidence_of(voxels, spills, v, classes, sums):
+    """Write one voxel's evidence to the front of two arrays; return how much."""
+    return read_evidence(voxels[v], spills, classes, sums, 0)
+
+
+def sort_order(index):
+    """Return the order that sorts voxel indices (n, 3) lexicographically."""
+    if not len(index):
+        return np.empty(0, np.int64)
+    low = index.min(axis=0).astype(np.int64)
+    span = index.max(axis=0).astype(np.int64) - low + 1
+    if float(span[0]) * float(span[1]) * float(span[2]) < 2.0 ** 62:
+        shifted = index - low       # one key sorts 4 times as fast as three
+        return np.argsort((shifted[:, 0] * span[1] + shifted[:, 1]) * span[2] + shifted[:, 2],
+                          kind='stable')
+    return np.lexsort((index[:, 2], index[:, 1], index[:, 0]))
+
+
+def stored_observations(memory):
+    """Return the number of observations that the histories hold (all, without a bound)."""
+    return int(memory.m.used[STORED])

@@ -1,0 +1,170 @@
+"""Why a voxel has its label: spec sections 2 and 3 for one voxel, every number kept."""
+
+import math
+
+import numpy as np
+
+from persem_ros.core.memory.blocks import directions
+from persem_ros.core.memory.evidence import TIE
+from persem_ros.core.refine.selection import (
+    CANDIDATE, CONTEXT, HISTORY, MAJORITY, METHODS, PROPOSED, TRUST, VERIFIED)
+
+
+def explain(memory, voxel, settings):
+    """
+    Return the trace of a voxel's refinement, computed step by step in plain Python.
+
+    Parameters
+    ----------
+    memory : persem_ros.core.memory.voxel_memory.VoxelMemory
+        The map.
+    voxel : sequence of 3 int
+        Index of an observed voxel.
+    settings : persem_ros.settings.config.Refine
+        The method and its constants. The fusion methods of spec section 4 have no steps: for
+        them there is only what the voxel and its neighbours have seen.
+
+    Returns
+    -------
+    dict
+        observations (N_v), recurrent, majority (c_M); evidence {c: h_v}, shares {c: p_v};
+        neighbours (number), hard {c: S_hard}, soft {c: q_v}; anchor {c: (1-eta) p_v + eta q_v}
+        and anchor_label (c_H), None without neighbours; steps, a list of dicts (label,
+        confidence, t, gap, surprise, weight, leader), one per stored observation, and
+        replayed {c: e}; candidate, replay_margin, hard_margin, soft_margin (None where no step
+        proposes another label); label and source that follow from all this; stored_label and
+        stored_source, what the map has; changed (True where it was observed after the map was
+        refined).
+
+    Raises
+    ------
+    PersemError
+        For a voxel that was never observed.
+
+    """
+    number = memory.number(voxel)
+    record = memory.m.voxels[number]
+    majority = int(record['majority'])
+    evidence = memory.evidence(voxel)
+    total = sum(evidence.values())
+    shares = {c: h / total for c, h in evidence.items()}
+    n, hard, soft = support(memory, voxel, settings.neighbours)
+    rho = memory.volatility() if memory.rho is None else memory.rho
+    steps, replayed = replay(*memory.history(voxel), rho, settings)
+    trace = {
+        'observations': int(record['n']),
+        'recurrent': int(record['n']) >= settings.min_observations,
+        'majority': majority, 'evidence': evidence, 'shares': shares, 'neighbours': n,
+        'hard': hard, 'soft': soft, 'anchor': {}, 'anchor_label': None, 'steps': steps,
+        'replayed': replayed, 'candidate': None, 'replay_margin': None, 'hard_margin': None,
+        'soft_margin': None, 'label': majority, 'source': MAJORITY,
+        'stored_label': int(record['label']), 'stored_source': int(record['source']),
+        'changed': memory.changed(voxel)}
+    if n:
+        trace['anchor'] = {c: (1 - settings.eta) * shares.get(c, 0.0)
+                           + settings.eta * soft.get(c, 0.0) for c in sorted({*shares, *soft})}
+        trace['anchor_label'] = argmax(trace['anchor'], majority)
+    if settings.method in METHODS and trace['recurrent']:
+        _decide(trace, *METHODS[settings.method], settings)
+    return trace
+
+
+def _decide(trace, anchor, then, settings):
+    """Enter candidate, margins, label and source: the steps of the method."""
+    majority = trace['majority']
+    if anchor and trace['anchor_label'] not in (None, majority):
+        trace['label'], trace['source'] = trace['anchor_label'], HISTORY
+        return
+    if then in (PROPOSED, VERIFIED):
+        source, candidate = TRUST, argmax({majority: 0.0, **trace['replayed']}, majority)
+        margin = trace['replayed'].get(candidate, 0.0) - trace['replayed'].get(majority, 0.0)
+        proposed = exceeds(margin, settings.tau_replay)
+    elif then == CANDIDATE and trace['neighbours']:
+        source, candidate = CONTEXT, argmax({majority: 0.0, **trace['hard']}, majority)
+        margin, proposed = None, True
+    else:
+        return
+    if candidate == majority:
+        return
+    trace['candidate'], trace['replay_margin'] = candidate, margin
+    if then != PROPOSED:
+        for name in ('hard', 'soft'):
+            trace[f'{name}_margin'] = \
+                trace[name].get(candidate, 0.0) - trace[name].get(majority, 0.0)
+        proposed = proposed and trace['neighbours'] > 0 and \
+            exceeds(trace['hard_margin'], settings.tau_context) and \
+            exceeds(trace['soft_margin'], settings.tau_context)
+    if proposed:
+        trace['label'], trace['source'] = candidate, source
+
+
+def support(memory, voxel, neighbours):
+    """
+    Return what the neighbours of a voxel say.
+
+    Returns
+    -------
+    n : int
+        How many were observed.
+    hard : dict
+        {c: S_hard(c)}, the share of them whose majority label is c.
+    soft : dict
+        {c: q_v(c)}, the mean of their p_u(c).
+
+    """
+    offsets = np.array([(d // 9 - 1, d // 3 % 3 - 1, d % 3 - 1)
+                        for d in directions(neighbours).tolist()])
+    around = (np.asarray(voxel) + offsets).astype(np.int32)
+    numbers = memory.find(around)
+    hard, soft, n = {}, {}, int(np.count_nonzero(numbers >= 0))
+    for index, number in zip(around, numbers):
+        if number < 0:
+            continue
+        evidence = memory.evidence(index)
+        total = sum(evidence.values())
+        for c, h in evidence.items():
+            soft[c] = soft.get(c, 0.0) + h / total
+        c = int(memory.m.voxels[number]['majority'])
+        hard[c] = hard.get(c, 0) + 1
+    return n, {c: k / n for c, k in hard.items()}, {c: q / n for c, q in soft.items()}
+
+
+def replay(labels, confidences, times, rho, settings):
+    """
+    Return the steps of the trust replay of a history and {c: e} at its end.
+
+    Parameters
+    ----------
+    labels, confidences, times : ndarray, shape (k,)
+        The stored observations, oldest first: VoxelMemory.history().
+    rho : ndarray, shape (65536,), float64
+        Class volatility.
+    settings : persem_ros.settings.config.Refine
+        The constants.
+
+    """
+    steps, evidence, before = [], {}, None
+    for c, s, t in zip(labels.tolist(), confidences.tolist(), times.tolist()):
+        surprise = int(before is not None and argmax(evidence) != c)
+        gap = 0 if before is None else t - before
+        weight = (s * math.exp(-settings.lambda_volatility * rho[c])
+                  * math.exp(-settings.lambda_disagreement * surprise)
+                  * math.exp(-settings.lambda_gap * gap))
+        evidence = {known: settings.gamma * e for known, e in evidence.items()}
+        evidence[c] = evidence.get(c, 0.0) + weight
+        steps.append({'label': c, 'confidence': s, 't': t, 'gap': gap, 'surprise': surprise,
+                      'weight': weight, 'leader': argmax(evidence)})
+        before = t
+    return steps, evidence
+
+
+def argmax(values, preferred=None):
+    """Return the key of the largest value; *preferred* wins its ties, else the smaller key."""
+    most = max(values.values())
+    best = [c for c, value in values.items() if most - value <= TIE]
+    return preferred if preferred in best else min(best)
+
+
+def exceeds(x, threshold):
+    """Return whether x > threshold, where a tie is none (spec section 2)."""
+    return x > threshold + TIE

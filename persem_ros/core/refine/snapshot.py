@@ -1,0 +1,206 @@
+"""
+What a refinement is handed at its start, so that it can compute beside further frames.
+
+The mapping thread takes a Snapshot between two frames: a copy of the evidence of the voxels to be
+refined and of all around them, and how long their histories are. What the refinement reads
+besides never changes under it: links of histories are only ever filled further, and neighbours
+that came later are not in the snapshot. So there is no lock at all.
+
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from persem_ros.core.jit import kernel, split
+from persem_ros.core.memory.evidence import count_classes, read_evidence
+from persem_ros.core.memory.pools import ROWS, SIDE
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """
+    Evidence of n voxels, the first r of which are to be refined.
+
+    Attributes
+    ----------
+    block, cell, number : ndarray, shape (n,), int64
+        Where each voxel lies.
+    refined : int
+        r.
+    row : ndarray, shape (voxels of the map,), int32
+        Row + 1 of a voxel number; 0: not in the snapshot.
+    start : ndarray, shape (n + 1,), int64
+        Row i's evidence is at start[i] : start[i + 1] of classes and shares.
+    classes : ndarray, uint16
+    shares : ndarray, float64
+        p_v(c) = h_v(c) / sum of h_v.
+    majority : ndarray, shape (n,), uint16
+    observations, first, head : ndarray, shape (n,), uint32
+        Length of the history, number of its first link's first observation, that link + 1.
+
+    """
+
+    block: np.ndarray
+    cell: np.ndarray
+    number: np.ndarray
+    refined: int
+    row: np.ndarray
+    start: np.ndarray
+    classes: np.ndarray
+    shares: np.ndarray
+    majority: np.ndarray
+    observations: np.ndarray
+    first: np.ndarray
+    head: np.ndarray
+
+
+def take(memory, neighbours=None):
+    """
+    Return a Snapshot of the whole map or, with a neighbourhood, of what changed.
+
+    With *neighbours* (6, 18 or 26) the voxels to be refined are those whose own or neighbouring
+    evidence changed since the last call of settle(); the snapshot holds these and the ring
+    around them.
+
+    """
+    pools = memory.m
+    if neighbours is None:
+        block, cell, number = memory.listing()
+        refined = len(number)
+    else:
+        block, cell, number, refined = _changed(memory, neighbours)
+    n = len(number)
+    row = np.zeros(memory.n_numbers, np.int32)
+    row[number] = np.arange(1, n + 1, dtype=np.int32)
+    start = np.zeros(n + 1, np.int64)
+    split(_count, n, pools.voxels, pools.spills, number, start[1:])
+    np.cumsum(start, out=start)
+    classes, shares = np.empty(start[-1], np.uint16), np.empty(start[-1])
+    majority, observations, first, head = (np.empty(n, t) for t in ('u2', 'u4', 'u4', 'u4'))
+    split(_copy, n, pools.voxels, pools.spills, number, start, classes, shares, majority,
+          observations, first, head)
+    return Snapshot(block, cell, number, refined, row, start, classes, shares, majority,
+                    observations, first, head)
+
+
+def settle(memory):
+    """Mark every voxel as unchanged: a refinement has been handed all changes so far."""
+    blocks = memory.m.blocks
+    dirty = np.flatnonzero(blocks['dirty'][:memory.n_blocks])
+    blocks['changed'][dirty] = 0
+    blocks['dirty'][dirty] = 0
+
+
+def _changed(memory, neighbours):
+    """Return (block, cell, number) of the snapshot's voxels, refined ones first, and how many."""
+    blocks, n = memory.m.blocks, memory.n_blocks
+    dirty = np.flatnonzero(blocks['dirty'][:n])
+    reach = {6: 0, 18: 1, 26: 2}[neighbours]
+    marks, needed = np.zeros((n, ROWS), np.uint8), np.zeros((n, ROWS), np.uint8)
+    marks[dirty] = blocks['changed'][dirty]
+    nearby = _around(blocks, dirty, n)
+    dilate(blocks, nearby, marks.copy(), reach, marks)
+    further = _around(blocks, nearby, n)
+    dilate(blocks, further, marks, reach, needed)
+    size = int(blocks['count'][further].sum())
+    block, cell, number = (np.empty(size, np.int64) for _ in range(3))
+    refined = list_marked(blocks, nearby, marks, block, cell, number, 0)
+    needed[nearby] &= ~marks[nearby]
+    total = list_marked(blocks, further, needed, block, cell, number, refined)
+    return block[:total], cell[:total], number[:total], refined
+
+
+def _around(blocks, numbers, n_blocks):
+    """Return the sorted numbers of the given blocks and of those that touch them."""
+    found = np.zeros(n_blocks + 1, bool)
+    found[blocks['near'][numbers].reshape(-1)] = True
+    found[numbers + 1] = True
+    return np.flatnonzero(found[1:])
+
+
+@kernel
+def dilate(blocks, numbers, rows, reach, out):
+    """
+    Write the cells of the given blocks that are marked or neighbours of a marked cell.
+
+    A block's marks are 64 rows of 8 bits, along z. reach is 0, 1, 2 for 6, 18, 26 neighbours:
+    a step along both x and y may then go on along z (26), or not (18), or is none (6).
+
+    """
+    padded = np.zeros((10, 10), np.uint16)      # bits 1 .. 8 are the block's own z
+    for b in numbers:
+        near = blocks[b].near
+        for x in range(10):
+            for y in range(10):
+                column = (((x + 7) >> 3) * 3 + ((y + 7) >> 3)) * 3
+                row = ((x + 7) & 7) * SIDE + ((y + 7) & 7)
+                below, own, above = near[column], near[column + 1], near[column + 2]
+                bits = np.uint16(0)
+                if own:
+                    bits |= np.uint16(rows[own - 1, row]) << np.uint16(1)
+                if below:
+                    bits |= np.uint16(rows[below - 1, row]) >> np.uint16(7)
+                if above:
+                    bits |= np.uint16(rows[above - 1, row] & 1) << np.uint16(9)
+                padded[x, y] = bits
+        for x in range(SIDE):
+            for y in range(SIDE):
+                own = padded[x + 1, y + 1]
+                cross = padded[x, y + 1] | padded[x + 2, y + 1] | padded[x + 1, y] \
+                    | padded[x + 1, y + 2]
+                corners = padded[x, y] | padded[x, y + 2] | padded[x + 2, y] \
+                    | padded[x + 2, y + 2]
+                still = own | cross
+                if reach >= 1:
+                    still |= corners
+                moved = own
+                if reach >= 1:
+                    moved |= cross
+                if reach == 2:
+                    moved |= corners
+                still |= moved << np.uint16(1) | moved >> np.uint16(1)
+                out[b, x * SIDE + y] = np.uint8(still >> np.uint16(1) & np.uint16(255))
+
+
+@kernel
+def list_marked(blocks, numbers, rows, block_of, cell_of, voxel_of, n):
+    """List the marked voxels of the given blocks from place n on; return the end."""
+    for b in numbers:
+        cells = blocks[b].cells
+        for row in range(ROWS):
+            bits = np.int64(rows[b, row])
+            if bits == 0:
+                continue
+            for z in range(SIDE):
+                if bits >> z & 1:
+                    cell = row * SIDE + z
+                    v = np.int64(cells[cell])
+                    if v > 0:
+                        block_of[n], cell_of[n], voxel_of[n] = b, cell, v - 1
+                        n += 1
+    return n
+
+
+@kernel
+def _count(begin, end, voxels, spills, number, counts):
+    """Write how many classes each voxel has seen."""
+    for r in range(begin, end):
+        counts[r] = count_classes(voxels[number[r]], spills)
+
+
+@kernel
+def _copy(begin, end, voxels, spills, number, start, classes, shares, majority, observations,
+          first, head):
+    """Copy what the snapshot holds of each voxel."""
+    for r in range(begin, end):
+        voxel = voxels[number[r]]
+        read_evidence(voxel, spills, classes, shares, start[r])
+        total = 0.0
+        for e in range(start[r], start[r + 1]):
+            total += shares[e]
+        for e in range(start[r], start[r + 1]):
+            shares[e] /= total
+        majority[r] = voxel.majority
+        observations[r] = voxel.n
+        first[r] = voxel.first
+        head[r] = voxel.head

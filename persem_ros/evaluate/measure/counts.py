@@ -1,0 +1,103 @@
+"""What all measures are made of: pixels by class, changes, by region; in blocks of frames."""
+
+import numpy as np
+
+from persem_ros.core.refine.regions import REGIONS
+from persem_ros.outputs.results.tally import CODES, codes_of, EVERYWHERE
+
+PLACES = (EVERYWHERE, *REGIONS)     # where is measured; the order of all arrays by region
+ROOM = 16                           # classes at first; doubled when there are more
+
+
+class Counts:
+    """
+    What all measures are made of, for methods on voxels and on images together.
+
+    Parameters
+    ----------
+    methods : int
+        Number of methods, those on images first.
+    images : int
+        Number of methods on images.
+
+    Attributes
+    ----------
+    matrix : ndarray, shape (methods, CODES, classes, classes), int64
+        Pixels by method, region code, true and predicted class.
+    changed : ndarray, shape (methods + 1, CODES), int64
+        Pixels whose label changed; the last row is the truth's.
+    pairs, true_pairs, pixels : ndarray, shape (CODES,), int64
+        Pixels that were compared, whose truth was compared, that were valid.
+
+    """
+
+    def __init__(self, methods, images, classes=ROOM):
+        self.methods, self.n_images, self.size = methods, images, classes
+        self.clear()
+
+    def clear(self):
+        """Begin anew."""
+        self.matrix = np.zeros((self.methods, CODES, self.size, self.size), np.int64)
+        self.changed = np.zeros((self.methods + 1, CODES), np.int64)
+        self.pairs, self.true_pairs, self.pixels = np.zeros((3, CODES), np.int64)
+
+    def grow(self, size):
+        """Make room for more classes."""
+        old, self.size = self.matrix, size
+        self.matrix = np.zeros((self.methods, CODES, size, size), np.int64)
+        self.matrix[:, :, :old.shape[2], :old.shape[3]] = old
+
+
+class Block:
+    """
+    Counts by region of PLACES instead of by code.
+
+    Attributes
+    ----------
+    hits, predicted : ndarray, shape (places, methods, classes), int64
+        Pixels that were right and that were predicted, by class.
+    true : ndarray, shape (places, classes), int64
+        Pixels by true class.
+    changed : ndarray, shape (places, methods + 1), int64
+    pairs, true_pairs, pixels : ndarray, shape (places,), int64
+    matrix : ndarray, shape (methods, classes, classes), int64
+        Everywhere, by true and predicted class.
+
+    """
+
+    FIELDS = ('hits', 'predicted', 'true', 'changed', 'pairs', 'true_pairs', 'pixels')
+
+    def __init__(self, **arrays):
+        self.__dict__.update(arrays)
+
+    @classmethod
+    def of(cls, counts):
+        """Return the Block of Counts."""
+        codes = [codes_of(place) for place in PLACES]
+        places = np.stack([counts.matrix[:, c].sum(1) for c in codes])
+        return cls(hits=np.einsum('pmcc->pmc', places).copy(), predicted=places.sum(2),
+                   true=places[:, 0].sum(2), matrix=places[0],
+                   changed=np.stack([counts.changed[:, c].sum(1) for c in codes]),
+                   **{name: np.array([getattr(counts, name)[c].sum() for c in codes])
+                      for name in ('pairs', 'true_pairs', 'pixels')})
+
+
+def stacked(blocks, classes):
+    """Return the blocks' arrays with the blocks as first axis; matrix is their sum."""
+    result = {}
+    for name in Block.FIELDS:
+        arrays = [getattr(block, name) for block in blocks]
+        if name in ('hits', 'predicted', 'true'):
+            arrays = [_wide(a, classes, (a.ndim - 1,)) for a in arrays]
+        result[name] = np.stack(arrays)
+    result['matrix'] = sum(_wide(b.matrix, classes, (1, 2)) for b in blocks)
+    return result
+
+
+def _wide(array, size, axes):
+    """Return an array cut or filled up with zeros to *size* along *axes*."""
+    shape = [size if a in axes else n for a, n in enumerate(array.shape)]
+    result = np.zeros(shape, array.dtype)
+    part = tuple(slice(0, min(m, n)) for m, n in zip(shape, array.shape))
+    result[part] = array[part]
+    return result

@@ -1,0 +1,186 @@
+"""Counting frames for all methods at once: by kind of voxel and true class (spec section 6)."""
+
+import numpy as np
+
+from persem_ros.core.jit import kernel
+from persem_ros.evaluate.measure.counts import Block, Counts
+from persem_ros.frames import UNKNOWN
+
+
+class Counter:
+    """
+    Counts frames into blocks: stretches of consecutive frames, for intervals.
+
+    Parameters
+    ----------
+    kinds : kinds.Kinds
+    classes : Classes
+        With which the kinds were made.
+    methods : sequence of str
+        Those on images first, then those on voxels in the order of kinds.classes.
+    images : int
+        Number of methods on images.
+    settings : persem_ros.settings.config.Memory
+        Depth range and ignored ids.
+
+    """
+
+    def __init__(self, kinds, classes, methods, images, settings):
+        self.kinds, self.classes, self.methods = kinds, classes, tuple(methods)
+        self.low, self.high = float(settings.min_depth), float(settings.max_depth)
+        self.ignored = np.zeros(UNKNOWN + 1, np.bool_)
+        self.ignored[[c for c in settings.ignore_labels if 0 <= c <= UNKNOWN] + [UNKNOWN]] = True
+        self.counts = Counts(len(methods), images)
+        self.rows = np.zeros((len(kinds.codes), self.counts.size), np.int64)
+        self.has_truth = False
+        self._before = {}       # sensor -> what the frame before left
+        self._shown = np.zeros((2, len(methods) + 1), np.int64)
+
+    def frame(self, labels, depth, voxels, truth=None, images=(), sensor=''):
+        """
+        Count one integrated frame.
+
+        Parameters
+        ----------
+        labels : ndarray, shape (h, w), int32
+            The input labels on the depth's grid.
+        depth : ndarray, shape (h, w), float64
+            Metres.
+        voxels : ndarray, shape (h, w), int32
+            Voxel numbers; -1: none.
+        truth : ndarray, shape (h, w), int32, optional
+            True labels.
+        images : sequence of ndarray, shape (h, w), integers
+            Labels of the methods on images.
+        sensor : str
+            Flicker compares consecutive frames of one sensor.
+
+        Returns
+        -------
+        changed, pairs : ndarray, shape (methods + 1,), int64
+            Pixels of this frame whose label changed and that were compared, the truth last.
+
+        """
+        shape = depth.shape
+        images = [np.require(i, np.int32, 'CW').reshape(-1) for i in images]
+        for image in (labels, *images, *([] if truth is None else [truth])):
+            self.classes.meet(image)
+        self._make_room()
+        with_truth = truth is not None
+        self.has_truth |= with_truth
+        before = self._before.get(sensor)
+        if before is None or before[0] != shape:
+            before = shape, np.full(depth.size, -1, np.int32), np.full(depth.size, -1, np.int32), \
+                np.zeros((len(images), depth.size), np.uint16)
+        _, kind_before, truth_before, images_before = before
+        count(np.require(labels, np.int32, 'CW').reshape(-1),
+              np.require(depth, np.float64, 'CW').reshape(-1),
+              np.require(voxels, np.int32, 'CW').reshape(-1),
+              np.require(truth if with_truth else labels, np.int32, 'CW').reshape(-1), with_truth,
+              np.array(images, np.int32).reshape(len(images), depth.size),
+              self.kinds.of, self.kinds.classes, self.kinds.codes, self.kinds.moving,
+              self.classes.index, self.ignored, self.classes.table is not None,
+              self.low, self.high, kind_before, truth_before, images_before, self.rows,
+              self.counts.matrix, self.counts.changed, self.counts.pairs,
+              self.counts.true_pairs, self.counts.pixels, self.classes.outside)
+        self._before[sensor] = before
+        return self._news()
+
+    def block(self):
+        """Return the counts since the last block by region, as Block; begin the next."""
+        counts = self.counts
+        spread(self.rows, self.kinds.codes, self.kinds.classes, counts.matrix, counts.n_images)
+        block = Block.of(counts)
+        counts.clear()
+        self.rows[:] = 0
+        self._shown[:] = 0
+        return block
+
+    def _news(self):
+        """Return what the last frame added to changed and compared pixels."""
+        counts = self.counts
+        now = np.stack([counts.changed.sum(1), np.append(
+            np.full(len(self.methods), counts.pairs.sum()), counts.true_pairs.sum())])
+        new = now - self._shown
+        self._shown = now
+        return new
+
+    def _make_room(self):
+        """Let all tables hold the classes that are known by now."""
+        if len(self.classes) > self.counts.size:
+            size = 2 * self.counts.size
+            while size < len(self.classes):
+                size *= 2
+            self.counts.grow(size)
+            rows = np.zeros((len(self.rows), size), np.int64)
+            rows[:, :self.rows.shape[1]] = self.rows
+            self.rows = rows
+
+
+@kernel
+def count(labels, depth, voxels, truth, with_truth, images, kind_of, classes, codes, moving,
+          index, ignored, tabled, low, high, kind_before, truth_before, images_before, rows,
+          matrix, changed, pairs, true_pairs, pixels, outside):
+    """
+    Count the pixels of one frame; kind, truth and images *before* are replaced on the way.
+
+    kind_before is -1 where the pixel was not valid, truth_before where it had no truth.
+
+    """
+    n_images, methods = len(images), len(changed) - 1
+    for p in range(len(labels)):
+        c = np.int64(labels[p])
+        valid = low <= depth[p] <= high and depth[p] > 0.0 and 0 <= c < 65535
+        valid = valid and not ignored[c]
+        t = np.int64(-1)
+        if valid and with_truth:
+            true = np.int64(truth[p])
+            valid = 0 <= true < 65535 and not ignored[true]
+            if valid:
+                t = np.int64(index[true])
+                if t == 0 and tabled:
+                    outside[true] += 1
+                    valid = False
+        if not valid:
+            kind_before[p] = -1
+            truth_before[p] = -1
+            continue
+        v = voxels[p]
+        kind = np.int64(kind_of[v]) if v >= 0 else 0
+        code = np.int64(codes[kind])
+        if moving[c] >= 0:
+            kind = np.int64(moving[c]) + code
+        pixels[code] += 1
+        if t >= 0:
+            rows[kind, t] += 1
+        older = np.int64(kind_before[p])
+        if older >= 0:
+            pairs[code] += 1
+            if older != kind:
+                for m in range(n_images, methods):
+                    changed[m, code] += \
+                        classes[older, m - n_images] != classes[kind, m - n_images]
+            if t >= 0 and truth_before[p] >= 0:
+                true_pairs[code] += 1
+                changed[methods, code] += t != truth_before[p]
+        for m in range(n_images):
+            i = np.int64(images[m, p])
+            new = np.int64(index[i]) if 0 <= i < 65535 else 0
+            if t >= 0:
+                matrix[m, code, t, new] += 1
+            if older >= 0:
+                changed[m, code] += new != images_before[m, p]
+            images_before[m, p] = new
+        kind_before[p] = kind
+        truth_before[p] = t
+
+
+@kernel
+def spread(rows, codes, classes, matrix, n_images):
+    """Add the pixels of each kind and true class to the matrices of all methods on voxels."""
+    for kind in range(len(rows)):
+        for t in range(rows.shape[1]):
+            n = rows[kind, t]
+            if n > 0:
+                for m in range(classes.shape[1]):
+                    matrix[n_images + m, codes[kind], t, classes[kind, m]] += n

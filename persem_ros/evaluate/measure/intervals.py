@@ -1,0 +1,98 @@
+"""
+Paired block bootstrap: how sure the difference between two methods is.
+
+Consecutive frames are anything but independent, so whole stretches of them are drawn with
+replacement, the same ones for both methods, and the measures are computed anew from what was
+drawn. The map itself is not rebuilt: the interval says how much of a difference comes from which
+frames were looked at, not from which flight was flown.
+
+"""
+
+import numpy as np
+
+from persem_ros.evaluate.measure.counts import PLACES
+from persem_ros.evaluate.measure.measures import measure, MEASURES, number
+
+RESAMPLES = 2000
+COVERED = 95.0          # percent
+FEWEST = 5              # blocks; fewer say nothing
+NEEDED = ('hits', 'predicted', 'true', 'changed', 'pairs')
+CHUNK = 200             # resamples at a time: bounded memory
+
+
+def resampled(blocks, seed=0, resamples=RESAMPLES):
+    """
+    Return the measures of resamples of a sequence.
+
+    Parameters
+    ----------
+    blocks : dict of str to ndarray
+        counts.Block's arrays with the blocks as first axis.
+    seed : int
+        Of the draws.
+    resamples : int
+        Number of draws.
+
+    Returns
+    -------
+    ndarray, shape (resamples, places, methods, 3), float64
+        NaN throughout for a sequence of fewer than FEWEST blocks.
+
+    """
+    n = len(blocks['pixels'])
+    n_methods = blocks['hits'].shape[2]
+    if n < FEWEST:
+        return np.full((resamples, len(PLACES), n_methods, len(MEASURES)), np.nan)
+    draws = np.random.default_rng(seed).multinomial(n, np.full(n, 1.0 / n), resamples)
+    parts = []
+    for weights in np.array_split(draws.astype(np.float64), -(-resamples // CHUNK)):
+        drawn = {name: (weights @ blocks[name].reshape(n, -1)).reshape(
+            len(weights), *blocks[name].shape[1:]) for name in NEEDED}
+        parts.append(measure(**drawn))
+    return np.concatenate(parts)
+
+
+def differences(sequences, methods, base, resamples=RESAMPLES, drawn=None):
+    """
+    Return the macro-averaged gain of each method over *base* with its interval.
+
+    Parameters
+    ----------
+    sequences : sequence of dict
+        The blocks of each sequence.
+    methods : sequence of str
+        In the order of the arrays.
+    base : str
+        One of them.
+    resamples : int
+        Number of draws.
+    drawn : sequence of ndarray, optional
+        What resampled() returned for each sequence, so that it is computed once for all bases.
+
+    Returns
+    -------
+    dict
+        By place, method and measure: value (points; negative is less), low and high (the
+        interval, None where there are too few frames), rises and falls (number of sequences
+        whose value rises or falls).
+
+    """
+    if drawn is None:
+        drawn = [resampled(blocks, seed, resamples) for seed, blocks in enumerate(sequences)]
+    point = np.stack([measure(**{name: blocks[name].sum(0) for name in NEEDED})
+                      for blocks in sequences])         # (sequences, places, methods, 3)
+    b = list(methods).index(base)
+    each = point - point[:, :, b:b + 1]
+    known = np.isfinite(each)
+    total = sum(np.where(known[k], one - one[:, :, b:b + 1], 0.0) for k, one in enumerate(drawn))
+    with np.errstate(invalid='ignore'):
+        total = total / known.sum(0)
+        value = np.where(known, each, 0.0).sum(0) / known.sum(0)
+    edge = (100.0 - COVERED) / 2
+    low, high = np.percentile(total, [edge, 100.0 - edge], axis=0)
+    rises, falls = (known & (each > 0)).sum(0), (known & (each < 0)).sum(0)
+    return {place: {name: {key: {
+        'value': number(value[p, m, k]), 'low': number(low[p, m, k]),
+        'high': number(high[p, m, k]), 'rises': int(rises[p, m, k]),
+        'falls': int(falls[p, m, k])} for k, key in enumerate(MEASURES)}
+        for m, name in enumerate(methods) if name != base} for p, place in enumerate(PLACES)}

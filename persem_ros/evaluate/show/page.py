@@ -1,0 +1,112 @@
+"""report.html of an evaluation: one file, in the style of the replay's."""
+
+from datetime import datetime, timezone
+import functools
+
+import jinja2
+from persem_ros.errors import PersemError
+from persem_ros.evaluate.show import table
+from persem_ros.evaluate.show.paper_tables import tables
+from persem_ros.outputs.files import write_text
+from persem_ros.outputs.report import page
+from persem_ros.outputs.report.png import data_uri
+from persem_ros.settings.config import settings
+from persem_ros.settings.legend import Legend
+
+RASTER = ('panels', 'map')      # figures that are pictures: as PNG in the page
+
+
+def write(folder, evaluation, results):
+    """
+    Draw all figures of an evaluation below *folder* and write its report.html.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the evaluation.
+    evaluation : dict
+        combine.combined, with versions, hardware and settings.
+    results : dict
+        (summary, arrays) by sequence.
+
+    Raises
+    ------
+    PersemError
+        Where matplotlib is missing.
+
+    """
+    check()
+    from persem_ros.evaluate.show import sequence_figures, style, summary_figures
+    shown = {'': []}
+    with style.look():
+        for name, caption, drawn in summary_figures.figures(evaluation):
+            shown[''].append(figure(name, caption, style.save(
+                drawn, folder / 'figures' / name)))
+        for sequence, (summary, arrays) in results.items():
+            legend = legend_of(summary)
+            shown[sequence] = [figure(name, caption, style.save(
+                drawn, folder / 'figures' / name)) for name, caption, drawn in
+                sequence_figures.figures(sequence, summary, arrays, legend)]
+    write_text(folder / 'report.html', render(evaluation, shown))
+
+
+def check():
+    """Refuse to draw without matplotlib."""
+    try:
+        import matplotlib  # noqa: F401 - only whether it is there
+    except ImportError as error:
+        raise PersemError(f'figures need matplotlib ({error}); install it with: pip install '
+                          "'persem_ros[evaluate]', or leave them out with --no-figures") from None
+
+
+def render(evaluation, figures):
+    """Return the page as text; figures: lists of figure() by sequence, '' for all together."""
+    found = {item.key: item for item in tables(evaluation)}
+    defaults = {name: list(v) if isinstance(v, tuple) else v for name, v, _ in settings()}
+    return environment().get_template('evaluation.html').render(
+        evaluation=evaluation, macro=evaluation['macro']['all'], tables=found, figures=figures,
+        names=list(evaluation['sequences']), **common(),
+        cards=_cards(evaluation), has_truth=bool(evaluation['macro']['all']['sequences']),
+        changed=[(name, value, defaults.get(name)) for name, value in
+                 evaluation['settings'].items() if value != defaults.get(name)])
+
+
+def common():
+    """Return what all pages of this package need."""
+    return {'text_of': table.text_of, 'arrows': table.ARROWS,
+            'written': datetime.now(timezone.utc).strftime('%Y-%m-%d %H:%M UTC')}
+
+
+@functools.lru_cache(maxsize=1)
+def environment():
+    """Return our templates before the replay's; everything that they show is escaped."""
+    ours = page.environment()
+    return ours.overlay(loader=jinja2.ChoiceLoader([
+        jinja2.PackageLoader('persem_ros.evaluate.show', 'templates'), ours.loader]))
+
+
+def legend_of(summary):
+    """Return the Legend that names and colours a sequence's classes."""
+    return Legend.from_yaml(summary['legend']) if summary['legend'] else Legend()
+
+
+def figure(name, caption, images):
+    """Return what the page shows of a figure."""
+    raster = name.partition('-')[0] in RASTER
+    uri = data_uri('image/png', images['png']) if raster \
+        else data_uri('image/svg+xml', images['svg'])
+    return {'name': name, 'caption': caption, 'uri': uri}
+
+
+def _cards(evaluation):
+    """Return the three numbers at the top: the first method, majority and the last."""
+    rows = evaluation['macro']['all']['methods']
+    before = rows.get('raw2d')
+    name = 'persem' if 'persem' in rows else list(rows)[-1]
+    return name, [{'title': title, 'before': before and before[key], 'after': rows[name][key],
+                   'gain': None if not before or before[key] is None else
+                   sign * (rows[name][key] - before[key]),
+                   'floor': evaluation['macro']['all']['truth_flicker']
+                   if key == 'flicker' else None}
+                  for key, title, sign in (('pixel_accuracy', 'pixel accuracy', 1),
+                                           ('miou', 'mean IoU', 1), ('flicker', 'flicker', -1))]

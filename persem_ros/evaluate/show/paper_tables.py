@@ -1,0 +1,191 @@
+"""The tables of an evaluation, in the form of the paper's."""
+
+from persem_ros.evaluate.measure.combine import mean
+from persem_ros.evaluate.measure.counts import PLACES
+from persem_ros.evaluate.measure.measures import BETTER, MEASURES
+from persem_ros.evaluate.show.table import Cell, Column, marked, Table
+
+NAMES = {'pixel_accuracy': 'PA', 'miou': 'mIoU', 'flicker': 'Flicker'}
+ABLATION = ('majority', 'trust', 'context', 'history', 'persem')
+PLACE_NAMES = {'all': 'all valid', 'boundary': 'boundary', 'difficult_core': 'difficult core',
+               'high_switch': 'high switch'}
+TRUTH = '(truth)'
+
+
+def tables(evaluation):
+    """
+    Return the tables that can be made of an evaluation, in the paper's order.
+
+    Parameters
+    ----------
+    evaluation : dict
+        combine.combined.
+
+    """
+    methods, several = evaluation['methods'], len(evaluation['sequences']) > 1
+    found = [main(evaluation)]
+    if several:
+        found.append(by_sequence(evaluation))
+    found += [gains(evaluation, base) for base in ('majority', 'raw2d')
+              if base in evaluation['differences']]
+    if sum(m in methods for m in ABLATION) > 2:
+        found.append(ablation(evaluation))
+    if {'context_history', 'persem'} <= set(methods):
+        found.append(trust(evaluation))
+    if {'majority', 'persem'} <= set(methods):
+        found.append(difficult(evaluation))
+    return [*found, runtime(evaluation)]
+
+
+def measures(group='', signed=False):
+    """Return the three columns of measures."""
+    return tuple(Column(('Δ' if signed else '') + NAMES[key], BETTER[key], group, signed=signed)
+                 for key in MEASURES)
+
+
+def main(evaluation):
+    """Return Table 1: all methods, macro-averaged."""
+    rows = _method_rows(evaluation['macro']['all'], evaluation['methods'])
+    return marked(Table('main', f'Main results, {_of(evaluation)}', ('method',), measures(), rows,
+                        notes(evaluation), _rules(rows)))
+
+
+def by_sequence(evaluation):
+    """Return Table 1 sequence by sequence."""
+    columns, parts = (), []
+    for name, summary in evaluation['sequences'].items():
+        columns += measures(name)
+        parts.append(_method_rows(summary['regions']['all'], evaluation['methods']))
+    rows = [(row[0][0], tuple(cell for _, cells in row for cell in cells))
+            for row in zip(*parts)]
+    return marked(Table('sequences', 'Main results by sequence', ('method',), columns, rows,
+                        notes(evaluation), _rules(rows)))
+
+
+def gains(evaluation, base):
+    """Return the gains of all methods over one, with intervals."""
+    found = evaluation['differences'][base]['all']
+    n = len(evaluation['sequences'])
+    rows = [((name,), tuple(_interval(row[key]) for key in MEASURES))
+            for name, row in found.items()]
+    if n > 1:
+        rows = [((*head, *(f'{max(r["rises"], r["falls"])} of {n} '
+                           f'{"up" if r["rises"] >= r["falls"] else "down"}'
+                           for r in found[head[0]].values())), cells) for head, cells in rows]
+    head = ('method',) + (('PA in', 'mIoU in', 'flicker in') if n > 1 else ())
+    title = f'Difference from {base}, points, {_of(evaluation)}'
+    return Table(f'gains_over_{base}', title, head, measures(signed=True), rows,
+                 notes(evaluation, True))
+
+
+def ablation(evaluation):
+    """Return Table 2: the components of the refinement."""
+    rows = _method_rows(evaluation['macro']['all'],
+                        [m for m in ABLATION if m in evaluation['methods']])
+    return marked(Table('ablation', f'Component ablation, {_of(evaluation)}', ('variant',),
+                        measures(), rows, notes(evaluation), (len(rows) - 1,)))
+
+
+def trust(evaluation):
+    """Return Table 3: what trust replay adds to context and history, scene by scene."""
+    rows, rules = [], []
+    for name, summary in evaluation['sequences'].items():
+        here = summary['regions']['all']
+        gain = evaluation['by_sequence'][name]['context_history']['all']['persem']
+        rules.append(len(rows))
+        pair = [Table('', '', (), measures(), [
+            ((name if k == 0 else '', text), tuple(Cell(here['methods'][m][key])
+                                                   for key in MEASURES))
+            for k, (m, text) in enumerate((('context_history', 'context + history'),
+                                           ('persem', 'full (+ trust)')))])]
+        rows += marked(pair[0]).rows
+        rows.append((('', 'difference'), tuple(_interval(gain[key]) for key in MEASURES)))
+        rows.append((('', TRUTH), _truth_cells(here)))
+    return Table('trust', 'What trust replay adds to context and history', ('scene', 'variant'),
+                 measures(), rows, notes(evaluation, True), tuple(rules[1:]))
+
+
+def difficult(evaluation):
+    """Return Table 4: gains over majority in the difficult regions."""
+    found, rows = evaluation['differences']['majority'], []
+    for place in PLACES:
+        macro = evaluation['macro'][place]
+        rows.append(((PLACE_NAMES[place],), (
+            Cell(macro['share']), *(_interval(found[place]['persem'][key]) for key in MEASURES),
+            Cell(macro['truth_flicker']))))
+    columns = (Column('Pixels, %'), *measures(signed=True), Column('Truth flicker'))
+    return Table('regions', 'Difference of persem from majority in difficult regions, '
+                 + _of(evaluation), ('region',), columns, rows, notes(evaluation, True))
+
+
+def runtime(evaluation):
+    """Return Table 5: time and memory by stage."""
+    columns = (Column('Frames', digits=0), Column('Voxels', digits=0),
+               Column('History, s'), Column('Refinement, s', digits=3),
+               Column('Reproj., s'), Column('Total, s', digits=1), Column('Map, MB', digits=1),
+               Column('Peak, MB', digits=0), Column('Truth flicker'))
+    rows = []
+    for name, summary in evaluation['sequences'].items():
+        run = summary['runtime']
+        refinement = run['refinement_s']
+        rows.append([name, summary['frames']['used'], summary['voxels'], run['history_s'],
+                     refinement.get('persem', max(refinement.values(), default=None)),
+                     run['reprojection_s'], run['total_s'], run['map_bytes'] / 1e6,
+                     run['peak_bytes'] / 1e6, summary['truth_flicker']])
+    if len(rows) > 1:
+        rows.append(['mean', *(mean(row[k] for row in rows) for k in range(1, len(rows[0])))])
+    threads = sorted({s['runtime']['threads'] for s in evaluation['sequences'].values()})
+    note = (f'Threads: {", ".join(map(str, threads))}. Refinement is that of persem; total is '
+            'the evaluation of all methods, reading included.')
+    return Table('runtime', 'Time and peak memory', ('sequence',), columns,
+                 [((str(row[0]),), tuple(Cell(v) for v in row[1:])) for row in rows], (note,))
+
+
+def notes(evaluation, intervals=False):
+    """Return what the reader of a table must know."""
+    macro, n = evaluation['macro']['all'], len(evaluation['sequences'])
+    lines = []
+    if not macro['sequences']:
+        lines.append('No truth in the recordings: accuracy unknown, flicker only.')
+    elif macro['sequences'] < n:
+        lines.append(f'Truth in {macro["sequences"]} of {n} recordings only: accuracy is the '
+                     'mean of those.')
+    else:
+        lines.append(f"The truth's own flicker, the floor that camera motion sets: "
+                     f'{macro["truth_flicker"]:.2f}.' if macro['truth_flicker'] is not None
+                     else 'Too few frames for flicker.')
+    if evaluation['taxonomy'] != 'all ids':
+        lines.append(f'Taxonomy: {evaluation["taxonomy"]}.')
+    if intervals:
+        how = evaluation['interval']
+        lines.append(f'In brackets: {how["covered_percent"]:.0f} % intervals, '
+                     f'{how["how"]}, {how["resamples"]} resamples.')
+    return tuple(lines)
+
+
+def _method_rows(region, methods):
+    """Return a row per method and the truth's, of a region of a summary or of the macro."""
+    rows = [((name,), tuple(Cell(region['methods'][name][key]) for key in MEASURES))
+            for name in methods]
+    return [*rows, ((TRUTH,), _truth_cells(region))]
+
+
+def _truth_cells(region):
+    return tuple(Cell(region['truth_flicker'] if key == 'flicker' else None) for key in MEASURES)
+
+
+def _of(evaluation):
+    """Return what a table is about: the sequence, or how many."""
+    names = list(evaluation['sequences'])
+    return names[0] if len(names) == 1 else f'mean of {len(names)} sequences'
+
+
+def _interval(row):
+    return Cell(row['value'], row['low'], row['high'])
+
+
+def _rules(rows):
+    """Return where the kinds of methods are set apart, as in the paper."""
+    names = [head[0] for head, _ in rows]
+    return tuple(names.index(name) for name in ('majority', 'trust', 'persem', TRUTH)
+                 if name in names and names.index(name))

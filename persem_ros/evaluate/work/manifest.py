@@ -1,0 +1,119 @@
+"""What a result was made of, so that nothing is computed twice and nothing stale is shown."""
+
+from dataclasses import asdict
+import functools
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+from persem_ros.errors import PersemError
+from persem_ros.outputs.files import replacing, write_json
+from persem_ros.outputs.results import rundir
+from persem_ros.settings.config import settings
+from persem_ros.settings.legend import load_legend
+
+MANIFEST, SUMMARY, ARRAYS = 'manifest.json', 'summary.json', 'arrays.npz'
+PIECE = 1 << 22
+
+
+def identity(task):
+    """
+    Return all that decides a task's result, as JSON: its inputs by content, its settings.
+
+    Two tasks of one identity have one result, wherever the recording lies.
+
+    """
+    values = {name: list(value) if isinstance(value, tuple) else value
+              for name, value, _ in settings(task.config)}
+    if values['labels.legend']:
+        values['labels.legend'] = load_legend(values['labels.legend']).to_yaml()
+    return {'recording': content_hash(task.recording),
+            'predictions': content_hash(task.predictions) if task.predictions else '',
+            'settings': values, 'methods': list(task.methods),
+            'taxonomy': load_legend(task.labels).to_yaml() if task.labels else '',
+            'grouped': task.grouped, 'dynamic': task.dynamic,
+            'disturbance': asdict(task.disturbance), 'pictures': task.pictures,
+            'source': source_hash(), 'versions': {
+                name: version for name, version in rundir.versions().items()
+                if name not in ('commit', 'persem_ros')}}
+
+
+def key_of(found):
+    """Return a short name for an identity."""
+    return hashlib.sha256(json.dumps(found, sort_keys=True).encode()).hexdigest()[:16]
+
+
+@functools.lru_cache(maxsize=256)
+def content_hash(path):
+    """Return a hash of a file or of all files in a folder, names included."""
+    path = Path(path)
+    if not path.exists():
+        raise PersemError(f'{path} does not exist')
+    files = sorted(p for p in path.rglob('*') if p.is_file()) if path.is_dir() else [path]
+    digest = hashlib.blake2b(digest_size=16)
+    for file in files:
+        name = str(file.relative_to(path)) if path.is_dir() else file.suffix
+        digest.update(f'{name}\0{file.stat().st_size}\0'.encode())
+        with open(file, 'rb') as stream:
+            while piece := stream.read(PIECE):
+                digest.update(piece)
+    return digest.hexdigest()
+
+
+@functools.lru_cache(maxsize=1)
+def source_hash():
+    """Return a hash of the package's source: a commit says nothing of a changed work tree."""
+    root = Path(__file__).parents[2]
+    digest = hashlib.blake2b(digest_size=16)
+    for file in sorted(root.rglob('*.py')):
+        if not file.is_relative_to(root / 'commands') and file.parent.name != 'report':
+            digest.update(str(file.relative_to(root)).encode() + file.read_bytes())
+    return digest.hexdigest()
+
+
+def save(folder, found, summary, arrays):
+    """Write a result and, last, the manifest that makes it count."""
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / MANIFEST).unlink(missing_ok=True)
+    with replacing(folder / ARRAYS) as work:
+        with open(work, 'wb') as out:
+            np.savez_compressed(out, **arrays)
+    write_json(folder / SUMMARY, summary)
+    write_json(folder / MANIFEST, {'commit': rundir.commit(), **found})
+
+
+def load(folder, found=None):
+    """Return (summary, arrays) of a finished result, None where *found* is not its identity."""
+    folder = Path(folder)
+    try:
+        manifest = json.loads((folder / MANIFEST).read_text('utf-8'))
+        manifest.pop('commit', None)
+        if found is not None and manifest != json.loads(json.dumps(found)):
+            return None
+        summary = json.loads((folder / SUMMARY).read_text('utf-8'))
+        with np.load(folder / ARRAYS, allow_pickle=False) as arrays:
+            return summary, dict(arrays)
+    except (OSError, ValueError, KeyError):
+        return None
+
+
+def changes(old, new):
+    """Return what differs between two identities, as short sentences."""
+    lines = []
+    for name in sorted({*old, *new}):
+        a, b = old.get(name), new.get(name)
+        if a == b:
+            continue
+        if isinstance(a, dict) and isinstance(b, dict):
+            lines += [f'{key}: {_short(a.get(key))} -> {_short(b.get(key))}'
+                      for key in sorted({*a, *b}) if a.get(key) != b.get(key)]
+        else:
+            lines.append(f'{name}: {_short(a)} -> {_short(b)}')
+    return lines
+
+
+def _short(value):
+    text = ' '.join(str(value).split())
+    return text if len(text) <= 60 else text[:57] + '...'

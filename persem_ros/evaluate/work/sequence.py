@@ -1,0 +1,230 @@
+"""One sequence: a recording read twice becomes the counts of all methods."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from persem_ros import ahead
+from persem_ros.core import jit
+from persem_ros.core.frame.images import counted, resampled
+from persem_ros.core.frame.smoothing import EmaImages
+from persem_ros.core.refine import snapshot
+from persem_ros.core.refine.job import labelled
+from persem_ros.core.refine.regions import regions
+from persem_ros.core.warmup import warm_up
+from persem_ros.evaluate.measure.classes import Classes
+from persem_ros.evaluate.measure.counts import stacked
+from persem_ros.evaluate.measure.frame_counter import Counter
+from persem_ros.evaluate.measure.measures import summary
+from persem_ros.evaluate.measure.taxonomy import taxonomy
+from persem_ros.evaluate.measure.voxel_kinds import kinds_of
+from persem_ros.evaluate.work.pictures import Panels, top_view
+from persem_ros.evaluate.work.stream import Stream
+from persem_ros.inputs.recording.recording import Recording
+from persem_ros.outputs.results import rundir
+from persem_ros.outputs.results.peak import PeakMemory
+from persem_ros.pipeline import Pipeline
+from persem_ros.settings.config import IMAGE_METHODS, METHODS
+from persem_ros.settings.legend import Legend, load_legend
+
+BLOCKS = 30         # stretches of frames that intervals are made of
+
+
+def evaluate_sequence(task, tick=None):
+    """
+    Evaluate one recording.
+
+    Parameters
+    ----------
+    task : Task
+        What is wanted.
+    tick : callable, optional
+        Called after each frame of both readings.
+
+    Returns
+    -------
+    summary : dict
+        JSON: what metrics.json has, with the stages' times and what was left out.
+    arrays : dict of str to ndarray
+        Counts by block, flicker by frame, confusion matrices, pictures.
+
+    Raises
+    ------
+    PersemError
+        When the recording cannot be used.
+
+    """
+    with PeakMemory() as peak, Recording(task.recording, task.config) as recording:
+        warm_up()
+        sequence = Sequence(task, recording, tick)
+        sequence.integrate()
+        sequence.label()
+        sequence.measure()
+        return sequence.result(peak.bytes())
+
+
+class Sequence:
+    """An evaluation under way; parameters as of evaluate_sequence."""
+
+    def __init__(self, task, recording, tick=None):
+        self.task, self.recording, self._tick = task, recording, tick
+        self.stream = Stream(recording, task.predictions, task.disturbance)
+        self.watch = rundir.Stopwatch()
+        self.pipeline = Pipeline(task.config)
+        self.images = [m for m in task.methods if m in IMAGE_METHODS]
+        self.methods = (*self.images, *(m for m in task.methods if m in METHODS))
+        self.taxonomy = taxonomy(task.labels, task.grouped, task.dynamic, _legend(recording, task))
+        self.classes = Classes(self.taxonomy.table)
+        self.frames = 0
+
+    def integrate(self):
+        """Read the recording and build the map."""
+        order = self.task.disturbance.order
+        waiting = []
+        for frame in self._read():
+            with self.watch('history'):
+                observations = self.pipeline.observe(frame)
+                if order == 'recorded':
+                    self.pipeline.memory.add(observations)
+                else:
+                    waiting.append(observations)
+            self.frames += 1
+        if order == 'reversed':
+            waiting.reverse()
+        elif order == 'shuffled':
+            np.random.default_rng(self.task.disturbance.seed).shuffle(waiting)
+        for observations in waiting:
+            with self.watch('history'):
+                self.pipeline.memory.add(observations)
+        self.dropped = dict(self.recording.dropped)
+
+    def label(self):
+        """Label the map by every method, from one snapshot, and find the kinds of voxels."""
+        memory, config = self.pipeline.memory, self.task.config
+        with self.watch('snapshot'):
+            taken = snapshot.take(memory)
+            rho, n_ids = memory.volatility(), int(np.count_nonzero(memory.seen_ids))
+        voxel_methods = self.methods[len(self.images):]
+        labels = np.empty((len(voxel_methods), memory.n_voxels), np.uint16)
+        self.sources = np.zeros(memory.n_voxels, np.uint8)
+        for row, method in zip(labels, voxel_methods):
+            with self.watch(f'label {method}'):
+                found, sources = labelled(memory, taken, method, config.refine, rho, n_ids)
+                row[taken.number] = found
+            if method == config.refine.method:
+                self.sources[taken.number] = sources
+        with self.watch('regions'):
+            codes, self.entropy, self.switch_rate = regions(memory, config.refine.neighbours)
+        with self.watch('kinds'):
+            dynamic = config.memory.dynamic_labels
+            self.classes.meet(np.flatnonzero(memory.seen_ids).astype(np.int32))
+            self.classes.meet(np.array(dynamic, np.int32))
+            kinds = kinds_of(labels, codes, self.classes.index, dynamic)
+        self.labels = labels
+        self.counter = Counter(kinds, self.classes, self.methods, len(self.images),
+                               config.memory)
+        self.panels = Panels(self, kinds) if self.task.pictures else None
+
+    def measure(self):
+        """Read the recording again and count every frame."""
+        smoothers, blocks, changed, pairs, stamps = {}, [], [], [], []
+        ends = {self.frames * (b + 1) // min(BLOCKS, self.frames) for b in range(BLOCKS)}
+        pictured = self.panels is not None
+        for number, frame in enumerate(self._read(truth=True, color=pictured), 1):
+            with self.watch('reprojection'):
+                voxels = self.pipeline.voxel_image(frame)
+            labels = resampled(frame.labels, frame.depth.shape)
+            truth = None if frame.truth is None else resampled(frame.truth, frame.depth.shape)
+            with self.watch('smoothing in the image'):
+                images = [self._smoothed(frame.sensor, labels, smoothers)
+                          if m == 'ema2d' else labels for m in self.images]
+            with self.watch('count'):
+                new = self.counter.frame(labels, frame.depth, voxels, truth, images,
+                                         frame.sensor)
+                changed.append(new[0])
+                pairs.append(new[1])
+                stamps.append(frame.stamp)
+                if number in ends:
+                    blocks.append(self.counter.block())
+            if pictured:
+                self.panels.offer(frame, labels, truth, voxels, images)
+        self.blocks = stacked(blocks, len(self.classes))
+        self.series = {'frame/changed': np.array(changed), 'frame/compared': np.array(pairs),
+                       'frame/stamp': np.array(stamps, np.int64)}
+
+    def result(self, peak):
+        """Return (summary, arrays) of evaluate_sequence."""
+        memory, ids = self.pipeline.memory, self.classes.ids
+        matrix = self.blocks.pop('matrix')
+        known = self.taxonomy.legend.ids        # those that it ignores are no surprise
+        outside = [c for c in np.flatnonzero(self.classes.outside) if c not in known]
+        seconds = self.watch.seconds
+        result = {
+            'name': self.recording.path.name, 'methods_order': list(self.methods),
+            'taxonomy': self.taxonomy.name, 'has_truth': self.counter.has_truth,
+            'frames': {'used': self.frames, 'dropped': self.dropped,
+                       'without_prediction': self.stream.unpredicted},
+            'voxels': memory.n_voxels, 'observations': memory.n_observations,
+            'outside_taxonomy': {str(c): int(self.classes.outside[c]) for c in outside},
+            **summary(self.blocks, self.methods, ids),
+            'classes': [{'id': int(i), 'name': self.taxonomy.legend.name(i),
+                         'color': list(self.taxonomy.legend.color(i))}
+                        for i in ids[1:]],
+            'legend': self.taxonomy.legend.to_yaml(), 'notes': list(self.recording.notes),
+            'runtime': {
+                'history_s': seconds['history'],
+                'refinement_s': {m: seconds[f'label {m}'] + seconds['snapshot']
+                                 for m in self.methods[len(self.images):]},
+                'reprojection_s': seconds['reprojection'], 'peak_bytes': peak,
+                'map_bytes': int(sum(memory.nbytes().values())),
+                'stages': {name: round(s, 4) for name, s in seconds.items()},
+                'total_s': round(self.watch.total(), 3), 'threads': jit.threads()}}
+        arrays = {**self.blocks, **self.series, 'matrix': matrix,
+                  'ids': np.array(ids, np.int32)}
+        if self.panels is not None:
+            arrays.update(self.panels.arrays())
+            arrays.update(top_view(memory, self.labels_of(self.task.config.refine.method),
+                                   self.sources, self.entropy, self.switch_rate))
+        return result, arrays
+
+    def labels_of(self, method):
+        """Return a method's labels by voxel number; the majority where it was not asked for."""
+        voxel_methods = self.methods[len(self.images):]
+        if method in voxel_methods:
+            return self.labels[voxel_methods.index(method)]
+        memory = self.pipeline.memory
+        return np.ascontiguousarray(memory.m.voxels['majority'][:memory.n_voxels])
+
+    def _read(self, **wanted):
+        """Yield the frames, read ahead where there is more than one thread."""
+        frames = self.watch.iterate('read', self.stream.frames(**wanted))
+        for frame in ahead.read_ahead(frames) if jit.threads() > 1 else frames:
+            yield frame
+            if self._tick:
+                self._tick()
+
+    def _smoothed(self, sensor, labels, smoothers):
+        """Return the labels of ema2d; dynamic things are smoothed like all others."""
+        if sensor not in smoothers:
+            smoothers[sensor] = EmaImages(self.task.config.ema.alpha)
+        return smoothers[sensor].update(counted(labels, _everything(self.task.config.memory)))
+
+
+def one_thread():
+    """Let this process compute on one core: a worker among others."""
+    jit.set_threads(1)
+    cv2.setNumThreads(1)
+
+
+def _everything(settings):
+    """Return the settings that say which ids count, for whole images."""
+    return replace(settings, stride=1, dynamic_labels=(-1,))
+
+
+def _legend(recording, task):
+    """Return the legend of labels.legend, else the recording's, else an empty one."""
+    if task.config.labels.legend:
+        return load_legend(task.config.labels.legend)
+    if recording.legend_text:
+        return Legend.from_yaml(recording.legend_text, "the recording's legend")
+    return Legend()

@@ -1,0 +1,242 @@
+"""
+Messages to arrays; messages of rclpy and of rosbags pass through the same lines.
+
+rclpy hands out array.array, rosbags read-only ndarrays: everything here goes by attributes and
+np.frombuffer, which takes both.
+
+"""
+
+import math
+
+import numpy as np
+
+from persem_ros.core.transforms import transform
+from persem_ros.errors import PersemError
+from persem_ros.inputs.decode import compressed
+
+LABELS = {'mono8': 'u1', '8UC1': 'u1', 'mono16': 'u2', '16UC1': 'u2', '16SC1': 'i2',
+          '32SC1': 'i4'}
+DEPTH = {'16UC1': 'u2', '32FC1': 'f4'}
+COLOR = {'rgb8': (3, [0, 1, 2]), 'bgr8': (3, [2, 1, 0]), '8UC3': (3, [2, 1, 0]),
+         'rgba8': (4, [0, 1, 2]), 'bgra8': (4, [2, 1, 0]), '8UC4': (4, [2, 1, 0]),
+         'mono8': (1, [0, 0, 0]), '8UC1': (1, [0, 0, 0])}
+NORM_TOLERANCE = 1e-2       # a quaternion farther from length 1 is no rotation
+
+
+class BadMessage(PersemError):
+    """
+    A message that cannot be used, while others of its topic may.
+
+    Attributes
+    ----------
+    reason : str
+        A few words, the same for every message with this fault: the key of a drop count.
+
+    """
+
+    def __init__(self, reason, sentence):
+        """Keep the short *reason* beside the whole *sentence*."""
+        super().__init__(sentence)
+        self.reason = reason
+
+
+def stamp_ns(msg):
+    """Return the header stamp in integer nanoseconds."""
+    return msg.header.stamp.sec * 1_000_000_000 + msg.header.stamp.nanosec
+
+
+def frame_id(msg):
+    """Return the header's frame without the leading slash that ROS 1 wrote."""
+    return msg.header.frame_id.lstrip('/')
+
+
+def header(data):
+    """
+    Return (stamp in ns, frame_id) of a serialized message that begins with a std_msgs/Header.
+
+    Reading the header alone costs microseconds, where decoding a whole image costs a copy.
+
+    """
+    order = 'little' if data[1:2] == b'\x01' else 'big'
+    seconds = int.from_bytes(data[4:8], order, signed=True)
+    nanoseconds = int.from_bytes(data[8:12], order)
+    length = int.from_bytes(data[12:16], order)
+    name = bytes(data[16:16 + length])
+    if len(data) < 16 or len(name) < length:
+        raise BadMessage('damaged message', 'a message ends inside of its header')
+    name = name.rstrip(b'\0').decode(errors='replace').lstrip('/')
+    return seconds * 1_000_000_000 + nanoseconds, name
+
+
+def labels(msg):
+    """
+    Read a label image.
+
+    Parameters
+    ----------
+    msg : sensor_msgs/Image or CompressedImage (PNG)
+        Ids, never colours.
+
+    Returns
+    -------
+    ndarray, shape (H, W), int32
+        The ids as they are: negative ones and those above 65534 included.
+    str
+        The encoding, one of `LABELS`.
+
+    Raises
+    ------
+    BadMessage
+        Unknown encoding, zero size, short data, damaged PNG.
+
+    """
+    if hasattr(msg, 'format'):
+        array, encoding = _decoded(compressed.labels, msg)
+        if encoding not in LABELS:
+            encoding = {1: 'mono8', 2: 'mono16'}[array.itemsize]
+        return array.astype(np.int32), encoding
+    return _plane(msg, LABELS, 'a label image').astype(np.int32), msg.encoding
+
+
+def depth(msg):
+    """
+    Read a depth image.
+
+    Parameters
+    ----------
+    msg : sensor_msgs/Image or CompressedImage (compressedDepth PNG or RVL)
+        16UC1 holds millimetres, 32FC1 metres.
+
+    Returns
+    -------
+    ndarray, shape (H, W), float64
+        Metres along the optical axis; 0, NaN and infinity are "no measurement".
+
+    Raises
+    ------
+    BadMessage
+        Unknown encoding, zero size, short data, damaged compression.
+
+    """
+    if hasattr(msg, 'format'):
+        array = _decoded(compressed.depth, msg)
+    else:
+        array = _plane(msg, DEPTH, 'a depth image')
+    if array.dtype.kind == 'u':
+        return array / 1000.0
+    return array.astype(np.float64)
+
+
+def color(msg):
+    """Read a colour image, raw or compressed, as uint8 RGB of shape (H, W, 3)."""
+    if hasattr(msg, 'format'):
+        return _decoded(compressed.color, msg)
+    if msg.encoding not in COLOR:
+        raise _unknown(msg.encoding, COLOR, 'a colour image')
+    channels, order = COLOR[msg.encoding]
+    rows = _rows(msg, msg.width * channels)
+    return np.ascontiguousarray(rows.reshape(msg.height, msg.width, channels)[..., order])
+
+
+def pose(msg):
+    """
+    Read a pose.
+
+    Parameters
+    ----------
+    msg : PoseStamped, PoseWithCovarianceStamped, Odometry or TransformStamped
+        All of them say where a child frame is in a parent frame.
+
+    Returns
+    -------
+    stamp : int
+        Nanoseconds.
+    T : ndarray, shape (4, 4), float64
+        Maps points of the child frame to the parent frame.
+    parent, child : str
+        Frames; the child is '' where the message has none.
+
+    Raises
+    ------
+    BadMessage
+        A position that is not finite, a quaternion whose norm is not within 1e-2 of 1.
+
+    """
+    if hasattr(msg, 'transform'):
+        position, rotation = msg.transform.translation, msg.transform.rotation
+    else:
+        inner = msg.pose.pose if hasattr(msg.pose, 'pose') else msg.pose
+        position, rotation = inner.position, inner.orientation
+    q = unit_quaternion((rotation.x, rotation.y, rotation.z, rotation.w))
+    xyz = (position.x, position.y, position.z)
+    if not all(map(math.isfinite, xyz)):
+        raise BadMessage('position not finite', f'a pose has the position {xyz}')
+    child = getattr(msg, 'child_frame_id', '').lstrip('/')
+    return stamp_ns(msg), transform(xyz, q), frame_id(msg), child
+
+
+def transforms(msg):
+    """
+    Read a tf2_msgs/TFMessage.
+
+    Returns
+    -------
+    list of tuple
+        What `pose` gives for each transform that can be used.
+    list of BadMessage
+        What was wrong with the others.
+
+    """
+    good, faults = [], []
+    for item in msg.transforms:
+        try:
+            good.append(pose(item))
+        except BadMessage as fault:
+            faults.append(fault)
+    return good, faults
+
+
+def unit_quaternion(q):
+    """Return *q* (x, y, z, w) with norm 1; refuse one that is farther than 1e-2 from it."""
+    norm = math.sqrt(sum(x * x for x in q))
+    if not abs(norm - 1.0) <= NORM_TOLERANCE:      # also NaN
+        raise BadMessage('quaternion not of length 1',
+                         f'a pose has the quaternion {tuple(q)} of length {norm:.4g}, expected 1')
+    return tuple(x / norm for x in q)
+
+
+def _plane(msg, encodings, what):
+    """Return the (H, W) view of a single-channel Image in its own dtype."""
+    if msg.encoding not in encodings:
+        raise _unknown(msg.encoding, encodings, what)
+    dtype = np.dtype(encodings[msg.encoding])
+    rows = _rows(msg, msg.width * dtype.itemsize)
+    return rows.view(dtype.newbyteorder('>' if msg.is_bigendian else '<'))
+
+
+def _rows(msg, row_bytes):
+    """Return the (H, row_bytes) uint8 view of an Image, row padding left out."""
+    height, step = msg.height, msg.step
+    if not (height and row_bytes):
+        raise BadMessage('zero size', f'an image has the size {msg.width} x {height}')
+    if step < row_bytes:
+        raise BadMessage('row shorter than width', f'an image of width {msg.width} and encoding '
+                         f'{msg.encoding} has a step of {step} bytes, expected {row_bytes}')
+    data = np.frombuffer(msg.data, np.uint8)
+    if data.size < height * step:
+        raise BadMessage('data too short', f'an image has {data.size} bytes of data, expected '
+                         f'height x step = {height} x {step} = {height * step}')
+    return data[:height * step].reshape(height, step)[:, :row_bytes]
+
+
+def _unknown(encoding, known, what):
+    return BadMessage(f'encoding {encoding!r}', f'{what} has the encoding {encoding!r}, '
+                      f'expected one of {", ".join(known)}')
+
+
+def _decoded(decoder, msg):
+    """Run a decoder of compressed.py, which knows nothing of messages."""
+    try:
+        return decoder(msg.format, np.frombuffer(msg.data, np.uint8))
+    except ValueError as error:
+        raise BadMessage(*error.args) from None

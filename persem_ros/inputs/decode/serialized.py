@@ -1,0 +1,22 @@
+"""Serialized messages to objects, without ROS."""
+
+from persem_ros.inputs.decode.messages import BadMessage
+from rosbags.serde import SerdeError
+from rosbags.typesys import get_typestore, Stores
+
+
+class Decoder:
+    """Deserializes messages of ROS 2 Jazzy's own types."""
+
+    def __init__(self):
+        """Load the types."""
+        self._store = get_typestore(Stores.ROS2_JAZZY)
+
+    def __call__(self, data, typename):
+        """Return the message; BadMessage where its bytes are damaged."""
+        try:
+            return self._store.deserialize_cdr(data, typename)
+        # Damaged bytes: lengths that lead out of them, text that is none.
+        except (SerdeError, LookupError, OverflowError, AssertionError, ValueError) as error:
+            raise BadMessage('damaged message', f'a {typename} cannot be deserialized: '
+                             f'{" ".join(str(error).split()) or type(error).__name__}') from None

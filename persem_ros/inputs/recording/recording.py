@@ -1,0 +1,156 @@
+"""A recording as a stream of frames: what a replay reads."""
+
+from collections import Counter
+
+from persem_ros.errors import PersemError
+from persem_ros.inputs.assemble import Assembler
+from persem_ros.inputs.decode.messages import BadMessage
+from persem_ros.inputs.recording import latched
+from persem_ros.inputs.recording.reading import Reading
+from persem_ros.inputs.recording.source import Source
+from persem_ros.inputs.recording.topics import Choice
+from persem_ros.inputs.sync.pairing import UNUSED
+
+
+class Recording:
+    """
+    A rosbag2 recording and the topics of it that are used.
+
+    Parameters
+    ----------
+    path : str or Path
+        A rosbag2 folder (mcap or sqlite3, compressed or not), or a single .mcap or .db3 file.
+    config : persem_ros.settings.config.Config
+        The settings topics.*, cameras.*, pose.*, frames.map, sync.* and camera.*.
+
+    Attributes
+    ----------
+    path : Path
+        The same.
+    topics : dict of str to dict of str to TopicInfo
+        What is used, by camera ('' where there is only one) and kind.
+    expected : int
+        Number of label images, for progress; frames may be fewer.
+    dropped : collections.Counter
+        Of the last reading: messages that were not used, by reason. Reasons without a colon
+        count label images; others start with the kind of message.
+    examples : dict of str to str
+        One whole sentence for reasons that have one.
+
+    Raises
+    ------
+    PersemError
+        Not a recording, a topic missing or of the wrong type, an unusable camera info.
+
+    """
+
+    def __init__(self, path, config):
+        """Open the recording, choose topics, read static transforms and camera infos."""
+        self.source = Source(path)
+        self.path = self.source.path
+        self.config = config
+        self.dropped = Counter()
+        self.examples = {}
+        self._notes = {}
+        try:
+            self.choice = Choice(self.source, config)
+            self.choice.check()
+            self.topics = self.choice.cameras
+            self.expected = sum(chosen['labels'].count for chosen in self.topics.values())
+            self._latched = latched.read(self.source, self.choice)
+            self.infos = self._read_infos()
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self):
+        """Return the open recording."""
+        return self
+
+    def __exit__(self, *_):
+        """Close the recording."""
+        self.close()
+
+    def close(self):
+        """Close the files."""
+        self.source.close()
+
+    @property
+    def notes(self):
+        """Return what the user should know and what did not prevent the use: sentences."""
+        return self.source.notes + self._latched.faults + list(self._notes.values())
+
+    @property
+    def legend_text(self):
+        """Return the recording's own legend (YAML), '' where it has none."""
+        return self._latched.legend
+
+    @property
+    def statics(self):
+        """Return the static transforms: a list of (T_parent_child, parent, child)."""
+        return self._latched.statics
+
+    def has(self, kind):
+        """Return whether any camera has the optional topic 'truth' or 'color'."""
+        return any(kind in chosen for chosen in self.topics.values())
+
+    def frames(self, truth=False, color=False):
+        """
+        Read the recording once.
+
+        Parameters
+        ----------
+        truth, color : bool
+            Whether true labels and colour images are wanted, where there are any.
+
+        Yields
+        ------
+        persem_ros.frames.Frame
+            In stamp order.
+
+        Raises
+        ------
+        PersemError
+            When the whole recording gave no frame: why, in one sentence.
+
+        """
+        self.dropped = Counter()
+        self.examples = {}
+        used = 0
+        for frame in Reading(self, truth, color).frames():
+            used += 1
+            yield frame
+        if not used:
+            raise PersemError(self._nothing())
+
+    def note(self, key, text):
+        """Keep a sentence for the user, one for each *key*."""
+        self._notes[key] = text
+
+    def _nothing(self):
+        """Return the sentence that says why no frame could be made."""
+        reasons = [(n, reason) for reason, n in self.dropped.items() if reason != UNUSED]
+        if not reasons:
+            return f'{self.path} has no label images that could make a frame'
+        counted = ', '.join(f'{reason} ({n})' for n, reason in sorted(reasons, reverse=True))
+        worst = max(reasons)[1]
+        why = self.examples.get(worst, '')
+        return f'{self.path} gave no frame: {counted}' + (f'; {why}' if why else '')
+
+    def _read_infos(self):
+        """Return the first camera info of each topic, refusing those that no image can use."""
+        names = {chosen['camera_info'].name for chosen in self.topics.values()}
+        infos = {}
+        for name, kind, _, data in self.source.messages(names):
+            if name in infos:
+                continue
+            msg = self.source.decode(data, kind)
+            try:
+                Assembler(self.config.camera.rectified).add_info(msg)
+            except BadMessage as fault:
+                raise PersemError(f'{name}: {fault}') from None
+            infos[name] = msg
+            if len(infos) == len(names):
+                return infos
+        missing = ' and '.join(sorted(names - set(infos)))
+        raise PersemError(f'{self.path}: {missing} has no camera info that can be read')

@@ -1,0 +1,189 @@
+"""Which topics of a recording are used; where one is missing, what to type instead."""
+
+from itertools import islice
+from shlex import quote
+
+from persem_ros.errors import PersemError
+from persem_ros.inputs.decode import messages
+from persem_ros.inputs.decode.messages import BadMessage
+from persem_ros.settings.config import Topics, topics_of
+
+IMAGE = 'sensor_msgs/msg/Image'
+COMPRESSED = 'sensor_msgs/msg/CompressedImage'
+INFO = 'sensor_msgs/msg/CameraInfo'
+TF = 'tf2_msgs/msg/TFMessage'
+STRING = 'std_msgs/msg/String'
+POSES = {'PoseStamped': 'geometry_msgs/msg/PoseStamped',
+         'PoseWithCovarianceStamped': 'geometry_msgs/msg/PoseWithCovarianceStamped',
+         'Odometry': 'nav_msgs/msg/Odometry',
+         'TransformStamped': 'geometry_msgs/msg/TransformStamped'}
+NEEDED = {'labels': 'label images', 'depth': 'depth images', 'camera_info': 'camera infos',
+          'pose': 'poses'}
+OPTIONAL = {'truth': 'true label images', 'color': 'colour images'}
+TRANSPORTS = ('compressed', 'compressedDepth')
+SHOWN = 6           # candidates in one refusal
+TRIED = 10          # messages of a topic that are decoded to find a good one
+
+
+class Choice:
+    """
+    The topics that a configuration takes from a source.
+
+    Parameters
+    ----------
+    source : persem_ros.inputs.recording.source.Source
+        The open recording.
+    config : persem_ros.settings.config.Config
+        The settings topics.*, cameras.*, pose.source and pose.type.
+
+    Attributes
+    ----------
+    cameras : dict of str to dict of str to TopicInfo
+        Topics by camera and kind; the camera is '' where there is only one.
+    tf, tf_static, legends : list of TopicInfo
+        Topics with transforms and legends.
+    problems : list of str
+        What is missing, each with the flags that would help; empty: the choice is complete.
+
+    """
+
+    def __init__(self, source, config):
+        """Match the settings with what is there."""
+        self._source = source
+        self._encodings = None
+        filled = [topic for topic in source.topics if topic.count]
+        self._topics = filled + [topic for topic in source.topics if not topic.count]
+        self._pose_types = (POSES[config.pose.type],) if config.pose.type in POSES \
+            else tuple(POSES.values())
+        self.tf = [t for t in filled if t.msgtype == TF and t.name.rpartition('/')[2] == 'tf']
+        self.tf_static = [t for t in filled
+                          if t.msgtype == TF and t.name.rpartition('/')[2] == 'tf_static']
+        self.legends = [t for t in filled if t.msgtype == STRING and t.name.endswith('legend')]
+        self.problems = []
+        self.cameras = {name: self._camera(config, name)
+                        for name in [n for n in config.cameras if n] or ['']}
+
+    def check(self):
+        """Refuse a choice with something missing."""
+        if self.problems:
+            path = self._source.path
+            raise PersemError(f'{path}: {"; ".join(self.problems)}; "persem info '
+                              f'{quote(str(path))}" lists all topics')
+
+    def candidates(self, kind, taken=()):
+        """Return the topics that could serve as *kind*, the likely ones first; none of *taken*."""
+        fitting = [t for t in self._topics if t.msgtype in self._types(kind) and t not in taken]
+        if kind not in ('labels', 'depth', 'truth'):
+            return fitting
+        known = messages.DEPTH if kind == 'depth' else messages.LABELS
+        encodings = self.encodings()
+        fitting = [t for t in fitting if _encodes(encodings.get(t.name, ''), kind, known)]
+        return sorted(fitting, key=lambda t: ('depth' in t.name.lower()) != (kind == 'depth'))
+
+    def encodings(self):
+        """Return the encoding or format of the first message of every image topic, by name."""
+        if self._encodings is None:
+            self._encodings = {}
+            wanted = {t.name for t in self._topics if t.msgtype in (IMAGE, COMPRESSED) and t.count}
+            for name, msg in first_messages(self._source, wanted).items():
+                self._encodings[name] = getattr(msg, 'encoding', None) or \
+                    getattr(msg, 'format', '')
+        return self._encodings
+
+    def _camera(self, config, camera):
+        topics = topics_of(config, camera)
+        prefix = f'cameras.{camera}.topics' if camera else 'topics'
+        chosen, missing = {}, {}
+        for kind in (*NEEDED, *OPTIONAL):
+            wanted = getattr(topics, kind)
+            if kind == 'pose' and config.pose.source == 'tf':
+                if not self.tf:
+                    missing[kind] = 'no /tf, which pose.source=tf needs'
+                continue
+            try:
+                chosen[kind] = self._find(kind, wanted)
+            except LookupError as error:
+                # The default of an optional topic may be missing; a name that was typed may not.
+                if kind in NEEDED or not wanted.endswith(getattr(Topics(), kind)):
+                    missing[kind] = f'no {(NEEDED | OPTIONAL)[kind]} on {wanted!r}{error}'
+        # What is offered depends on what the other kinds have, so it comes last.
+        for kind, problem in missing.items():
+            extra = ''
+            if kind == 'pose' and self.tf:
+                extra = '--set pose.source=tf'
+            elif kind == 'pose' and config.pose.source == 'tf':
+                extra = '--set pose.source=topic'
+            flags = self._flags((kind,), prefix, tuple(chosen.values()), extra)
+            self.problems.append(problem + flags)
+        self._refuse_twice(chosen, prefix)
+        return chosen
+
+    def _refuse_twice(self, chosen, prefix):
+        """Note the topics that one camera uses for two kinds of images."""
+        kinds = [kind for kind in ('depth', 'labels', 'truth', 'color') if kind in chosen]
+        for i, kind in enumerate(kinds):
+            for other in kinds[:i]:
+                if chosen[kind] == chosen[other]:
+                    flags = self._flags((other, kind), prefix, tuple(chosen.values()))
+                    self.problems.append(f'{prefix}.{other} and {prefix}.{kind} are the same '
+                                         f'topic, {chosen[kind].name}{flags}')
+
+    def _types(self, kind):
+        if kind == 'pose':
+            return self._pose_types
+        return (INFO,) if kind == 'camera_info' else (IMAGE, COMPRESSED)
+
+    def _find(self, kind, wanted):
+        """Return the topic for *wanted*; LookupError with what stands in the way."""
+        types = self._types(kind)
+        tails = [wanted.strip('/')]
+        if IMAGE in types:
+            tails += [f'{tails[0]}/{transport}' for transport in TRANSPORTS]
+        for tail in tails:
+            exact = [t for t in self._topics if t.name.strip('/') == tail]
+            fitting = [t for t in exact if t.msgtype in types]
+            if fitting and fitting[0].count:
+                return fitting[0]
+            if fitting:
+                raise LookupError(', which has no messages')
+            if exact:       # the name is taken by something else
+                raise LookupError(f', which is of type {exact[0].msgtype}')
+        if wanted.startswith('/'):
+            raise LookupError()
+        for tail in tails:
+            below = [t for t in self._topics if t.name.endswith(f'/{tail}') and t.msgtype in types]
+            if len(below) == 1:
+                return below[0]
+            if below:
+                raise LookupError(f', which could be any of {len(below)} topics')
+        raise LookupError()
+
+    def _flags(self, kinds, prefix, taken, extra=''):
+        """Return ' (--set ... or --set ...)' with the candidates for *kinds* but those *taken*."""
+        flags = [f'--set {prefix}.{kind}={t.name}' for kind in kinds
+                 for t in self.candidates(kind, taken)[:SHOWN]]
+        flags = flags + [extra] if extra else flags
+        other = 'other ' if any(map(self.candidates, kinds)) else ''
+        return f' ({" or ".join(flags)})' if flags else f' (no {other}topic of that kind is there)'
+
+
+def first_messages(source, names):
+    """Return the first message of each topic in *names* that can be decoded, by name."""
+    found = {}
+    for name in sorted(names):      # one search each: it ends where the topic begins
+        for _, kind, _, data in islice(source.messages({name}), TRIED):
+            try:
+                found[name] = source.decode(data, kind)
+            except BadMessage:
+                continue
+            break
+    return found
+
+
+def _encodes(encoding, kind, known):
+    """Return whether an image encoding or format can serve as labels or depth."""
+    if not encoding or 'compressedDepth' in encoding:
+        return not encoding or kind == 'depth'
+    if 'jpeg' in encoding or 'jpg' in encoding:
+        return False
+    return encoding in known or 'png' in encoding.lower()

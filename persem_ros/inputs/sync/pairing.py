@@ -1,0 +1,293 @@
+"""
+Pairs label and depth images and gives each pair its pose: no ROS, no clock, no randomness.
+
+Time comes in as *now*, integer nanoseconds of any clock that does not go back: the node passes
+its own, a replay the recording's. Stamps never serve as a clock, so that one stamp that is hours
+off cannot time out everybody else.
+
+"""
+
+from bisect import bisect_left, insort
+from collections import Counter
+from dataclasses import dataclass, field
+
+LABELS, DEPTH, TRUTH, COLOR = 'labels', 'depth', 'truth', 'color'
+NO_DEPTH = 'no depth within tolerance'
+REPEATED = 'stamp repeated'
+WENT_BACK = 'stamp went back'
+QUEUE_FULL = 'queue full'
+UNUSED = 'depth: no labels'
+KEEP = 2.0      # s, for a segmenter that takes its time
+
+
+@dataclass(eq=False)
+class Match:
+    """
+    A label image and what belongs to it.
+
+    Attributes
+    ----------
+    stamp : int
+        The label image's, nanoseconds.
+    items : dict of str to object
+        What was pushed, by kind; a companion that is missing has no entry.
+    T_map_camera : ndarray, shape (4, 4), float64
+        The pose, None where no poses are asked for.
+
+    """
+
+    stamp: int
+    items: dict
+    T_map_camera: object = None
+    arrival: int = 0
+    complete: int = None        # when the depth image was found
+    size: int = 0
+    missing: set = field(default_factory=set)
+
+
+@dataclass(order=True)
+class _Waiting:
+    """An image that no label image has taken yet."""
+
+    stamp: int
+    item: object = field(compare=False)
+    size: int = field(compare=False)
+    arrival: int = field(compare=False)
+
+
+class Synchronizer:
+    """
+    Matches the images of one camera, spec section 7.
+
+    A depth image with the stamp of a label image belongs to it; otherwise the nearest within the
+    tolerance does, once a later one has come or the wait is over. Matches leave in the order
+    of their stamps, so a label image holds back those behind it until it is complete, has its
+    pose or is dropped.
+
+    Parameters
+    ----------
+    sync : persem_ros.settings.config.Sync
+        Tolerance and longest wait.
+    lookup : callable, optional
+        lookup(match) gives a persem_ros.inputs.sync.poses.Lookup; None: no poses are asked for.
+    companions : tuple of str
+        Kinds of images that join a match where there are any: `TRUTH`, `COLOR`.
+    patient : bool
+        True: a match waits for its companions as for its depth (a replay, where they must not
+        depend on the order of arrival). False: it takes those that are there.
+    pose_wait : float, optional
+        Seconds that a match waits for its pose; None: sync.max_wait.
+    keep : float
+        Seconds that a depth image waits for its labels at least.
+    max_bytes : int
+        Bound of everything held.
+    dropped : collections.Counter, optional
+        Where reasons are counted. A reason without a colon counts label images; others start
+        with their kind ('depth: ').
+
+    """
+
+    def __init__(self, sync, lookup=None, companions=(), patient=False, pose_wait=None,
+                 keep=KEEP, max_bytes=256 << 20, dropped=None):
+        """Start empty."""
+        self.dropped = Counter() if dropped is None else dropped
+        self._keep_for, self._wait_for_pose = keep, pose_wait
+        self.configure(sync)
+        self._lookup = lookup
+        self._partners = (DEPTH, *companions)
+        self._patient = patient
+        self._max_bytes = max_bytes
+        self.clear()
+
+    def configure(self, sync):
+        """Go on with another tolerance and longest wait (persem_ros.settings.config.Sync)."""
+        self._tolerance = round(sync.tolerance * 1e9)
+        self._wait = round(sync.max_wait * 1e9)
+        self._keep = max(self._wait, round(self._keep_for * 1e9))
+        self._pose_wait = self._wait if self._wait_for_pose is None \
+            else round(self._wait_for_pose * 1e9)
+
+    def clear(self):
+        """Forget everything held and every stamp seen (the clock went back)."""
+        self._matches = []                                  # in stamp order
+        self._queues = {kind: [] for kind in self._partners}
+        self._latest = dict.fromkeys(self._partners)        # stamp that arrived last
+        self._left = None                                   # stamp of the last match that left
+        self.bytes = 0
+
+    @property
+    def first_pending(self):
+        """Stamp of the earliest label image held, None where none is."""
+        return self._matches[0].stamp if self._matches else None
+
+    def push(self, kind, stamp, item, size, now):
+        """
+        Take one image; call `advance` afterwards.
+
+        Parameters
+        ----------
+        kind : str
+            `LABELS`, `DEPTH` or a companion.
+        stamp : int
+            Header stamp, nanoseconds.
+        item : object
+            Whatever the match shall carry.
+        size : int
+            Bytes that the item holds.
+        now : int
+            Time, nanoseconds.
+
+        """
+        taken = self._push_label(stamp, item, size, now) if kind == LABELS \
+            else self._push_partner(kind, stamp, item, size, now)
+        if taken:
+            self.bytes += size
+            while self.bytes > self._max_bytes:
+                self._drop_oldest()
+
+    def advance(self, now):
+        """Return the matches that can leave at time *now*, in stamp order."""
+        self._settle(now)
+        leaving = []
+        while self._matches and self._head_leaves(now, leaving):
+            pass
+        self._prune(now)
+        return leaving
+
+    def flush(self):
+        """Return what can still leave when nothing more will come; drop the rest."""
+        return self.advance(float('inf'))
+
+    def _push_label(self, stamp, item, size, now):
+        if self._left is not None and stamp <= self._left:
+            self.dropped[REPEATED if stamp == self._left else WENT_BACK] += 1
+            return False
+        i = bisect_left(self._matches, stamp, key=_stamp)
+        if i < len(self._matches) and self._matches[i].stamp == stamp:
+            self.dropped[REPEATED] += 1
+            return False
+        match = Match(stamp, {LABELS: item}, None, now, None, size, set(self._partners))
+        self._matches.insert(i, match)
+        for kind in self._partners:
+            queue = self._queues[kind]
+            j = bisect_left(queue, stamp, key=_stamp)
+            if j < len(queue) and queue[j].stamp == stamp:
+                self._join(match, kind, queue.pop(j), now)
+        return True
+
+    def _push_partner(self, kind, stamp, item, size, now):
+        waiting = _Waiting(stamp, item, size, now)
+        self._latest[kind] = stamp
+        i = bisect_left(self._matches, stamp, key=_stamp)
+        if i < len(self._matches) and self._matches[i].stamp == stamp:
+            if kind in self._matches[i].missing:
+                self._join(self._matches[i], kind, waiting, now)
+                return True
+            self.dropped[f'{kind}: {REPEATED}'] += 1
+            return False
+        queue = self._queues[kind]
+        j = bisect_left(queue, stamp, key=_stamp)
+        if j < len(queue) and queue[j].stamp == stamp:
+            self.dropped[f'{kind}: {REPEATED}'] += 1
+            return False
+        insort(queue, waiting)
+        return True
+
+    def _join(self, match, kind, waiting, now):
+        match.items[kind] = waiting.item
+        match.size += waiting.size
+        match.missing.discard(kind)
+        if kind == DEPTH:
+            match.complete = now
+
+    def _settle(self, now):
+        """Give label images without an exact partner the nearest one, where that is decided."""
+        for match in self._matches:
+            waited = now - match.arrival >= self._wait
+            for kind in [k for k in self._partners if k in match.missing]:
+                latest = self._latest[kind]
+                passed = latest is not None and latest > match.stamp
+                hurried = kind != DEPTH and not self._patient and DEPTH not in match.missing
+                if not (passed or waited or hurried):
+                    continue
+                nearest = self._nearest(kind, match.stamp)
+                if nearest is not None:
+                    self._join(match, kind, self._queues[kind].pop(nearest), now)
+                elif kind != DEPTH and self._patient and (passed or waited):
+                    match.missing.discard(kind)
+
+    def _nearest(self, kind, stamp):
+        """Return the index of the nearest image in a queue within the tolerance, else None."""
+        queue = self._queues[kind]
+        i = bisect_left(queue, stamp, key=_stamp)
+        near = [j for j in (i - 1, i) if 0 <= j < len(queue)
+                and abs(queue[j].stamp - stamp) <= self._tolerance]
+        return min(near, key=lambda j: (abs(queue[j].stamp - stamp), j), default=None)
+
+    def _head_leaves(self, now, leaving):
+        """Let the earliest label image leave or drop; return False where it has to wait."""
+        match = self._matches[0]
+        if DEPTH in match.missing:
+            # A later depth image does not end the wait: this one's own may be on its way.
+            if now - match.arrival < self._wait:
+                return False
+            self._drop_head(NO_DEPTH)
+            return True
+        if self._patient and match.missing and now - match.arrival < self._wait:
+            return False
+        if self._lookup is not None:
+            found = self._lookup(match)
+            if found.T is None:
+                if not found.final and now - match.complete < self._pose_wait:
+                    return False
+                self._drop_head(found.reason)
+                return True
+            match.T_map_camera = found.T
+        del self._matches[0]
+        self.bytes -= match.size
+        self._left = match.stamp
+        leaving.append(match)
+        return True
+
+    def _drop_head(self, reason):
+        self.bytes -= self._matches.pop(0).size
+        self.dropped[reason] += 1
+
+    def _prune(self, now):
+        """Drop images that waited for long and that no label image held could take."""
+        for kind, queue in self._queues.items():
+            while queue:
+                oldest = queue[0]
+                passed = self._left is not None and oldest.stamp + self._tolerance < self._left
+                if not passed and now - oldest.arrival < self._keep or self._wanted(oldest.stamp):
+                    break
+                self._drop_partner(kind)
+
+    def _wanted(self, stamp):
+        """Return whether a label image is held within the tolerance of *stamp*."""
+        i = bisect_left(self._matches, stamp - self._tolerance, key=_stamp)
+        return i < len(self._matches) and self._matches[i].stamp <= stamp + self._tolerance
+
+    def _drop_partner(self, kind, reason=None):
+        self.bytes -= self._queues[kind].pop(0).size
+        if kind == DEPTH or reason:
+            self.dropped[f'{kind}: {reason}' if reason else UNUSED] += 1
+
+    def _drop_oldest(self):
+        """Make room: what arrived first goes."""
+        heads = [(queue[0].arrival, kind) for kind, queue in self._queues.items() if queue]
+        first = min(heads, default=(float('inf'), ''))
+        if self._matches and self._matches[0].arrival <= first[0]:
+            self._drop_head(self._why_full(self._matches[0]))
+        else:
+            self._drop_partner(first[1], QUEUE_FULL)
+
+    def _why_full(self, match):
+        """Return what the earliest label image waits for, if that is why the queue is full."""
+        if DEPTH in match.missing or self._lookup is None:
+            return QUEUE_FULL
+        return self._lookup(match).reason or QUEUE_FULL
+
+
+def _stamp(item):
+    return item.stamp

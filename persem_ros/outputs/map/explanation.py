@@ -1,0 +1,141 @@
+"""The trace of a voxel (core.explain) as text for people."""
+
+from persem_ros.core.memory.evidence import TIE
+from persem_ros.outputs.map.cloud import SOURCES
+
+
+def explanation(stored, voxel, trace):
+    """
+    Return what a voxel has seen and why it has its label, as lines of text.
+
+    Parameters
+    ----------
+    stored : persem_ros.outputs.map.store.StoredMap
+        The map file: voxel size, legend, frame table and settings.
+    voxel : sequence of 3 int
+        Its index.
+    trace : dict
+        What core.refine.explain.explain returned.
+
+    """
+    name = names(stored.legend)
+    saved, settings = stored.saved, stored.config().refine
+    label, share = trace['stored_label'], trace['shares'].get(trace['stored_label'], 0.0)
+    centre = [(i + 0.5) * saved.voxel_size + o for i, o in zip(voxel, saved.origin)]
+    lines = [f'voxel {" ".join(str(int(i)) for i in voxel)}, centre '
+             f'{" ".join(f"{x:.3f}" for x in centre)} m in {stored.map_frame}',
+             f'label {label} {name(label)}, by {SOURCES[trace["stored_source"]]} '
+             f'(method {settings.method}), confidence {share:.4f}',
+             f'{trace["observations"]} observations, majority label {trace["majority"]} '
+             f'{name(trace["majority"])}, {trace["neighbours"]} neighbours', '', 'why']
+    lines += [f'  {sentence}' for sentence in reasons(trace, settings, name)]
+    lines += ['', *evidence_table(trace, name), '', *history_table(trace, saved.frames, name)]
+    return '\n'.join(lines)
+
+
+def names(legend):
+    """Return a function that gives a class id's name, fit for a terminal."""
+    return lambda c: ''.join(x if x.isprintable() else '?' for x in legend.name(c))
+
+
+def reasons(trace, settings, name):
+    """Return the steps from the evidence to the label, a sentence each, with their numbers."""
+    majority, result = trace['majority'], []
+    most = trace['evidence'][majority]
+    tied = sum(abs(h - most) <= TIE for h in trace['evidence'].values()) > 1
+    result.append(f'majority: {majority} {name(majority)} has the most evidence, {most:.4f}'
+                  + (' (the smallest id of a tie)' if tied else ''))
+    selective = settings.method in ('trust', 'context', 'history', 'context_history', 'persem')
+    if not selective:
+        result.append(f'the method {settings.method} fuses the history into one label; '
+                      'it has no further steps')
+    elif not trace['recurrent']:
+        result.append(f'not refined: {trace["observations"]} observations, refine.'
+                      f'min_observations is {settings.min_observations}')
+    else:
+        result += _refinement(trace, settings, name)
+    if trace['changed']:
+        result.append('observed since the map was last refined: the stored label may be older '
+                      'than this trace')
+    elif selective and trace['label'] != trace['stored_label']:
+        result.append(f'this trace ends at {trace["label"]} {name(trace["label"])}: the map was '
+                      'refined with other settings, or class volatility has changed')
+    return result
+
+
+def _refinement(trace, settings, name):
+    """Return the sentences about anchor, replay and context."""
+    majority, candidate, result = trace['majority'], trace['candidate'], []
+    if settings.method in ('history', 'context_history', 'persem'):
+        result.append(_anchor(trace, settings, name))
+        if trace['anchor_label'] not in (None, majority):
+            return result
+    if settings.method in ('trust', 'persem'):
+        best = f'{candidate} {name(candidate)}' if candidate is not None else 'no other label'
+        text = f'replay: {best} leads the decayed evidence'
+        if candidate is not None:
+            margin, tau = trace['replay_margin'], settings.tau_replay
+            text += (f' by {margin:.4f}, {_against(margin, tau)} refine.tau_replay {tau:g}')
+        result.append(text)
+    elif settings.method != 'history':
+        result.append('context: ' + (
+            f'most neighbours are {candidate} {name(candidate)}' if candidate is not None
+            else 'no other label leads among the neighbours'))
+    if candidate is not None and trace['hard_margin'] is not None:
+        tau = settings.tau_context
+        result.append('context: over the majority label it leads by ' + ' and by '.join(
+            f'{trace[key]:.4f} in {words} ({_against(trace[key], tau)} refine.tau_context '
+            f'{tau:g})' for key, words in (('hard_margin', "the neighbours' labels"),
+                                           ('soft_margin', 'their histories'))))
+    if candidate is not None:
+        result.append('accepted' if trace['label'] == candidate else
+                      f'not accepted: {majority} {name(majority)} stays')
+    return result
+
+
+def _anchor(trace, settings, name):
+    """Return the sentence about the history anchor."""
+    label, majority = trace['anchor_label'], trace['majority']
+    if label is None:
+        return 'anchor: no neighbours, the majority label stays'
+    text = (f'anchor: (1 - {settings.eta:g}) p_v + {settings.eta:g} q_v is largest for {label} '
+            f'{name(label)}, {trace["anchor"][label]:.4f}')
+    if label != majority:
+        text += f', against {trace["anchor"][majority]:.4f} for the majority label: final'
+    return text
+
+
+def _against(margin, tau):
+    """Return how a margin stands to its threshold."""
+    return 'above' if margin > tau + TIE else 'not above'
+
+
+def evidence_table(trace, name):
+    """Return the table of all classes that the voxel or its neighbours have seen."""
+    lines = [f'{"id":>5}  {"class":<20}{"h_v":>10}{"p_v":>9}{"q_v":>9}{"S_hard":>9}'
+             f'{"anchor":>9}{"replayed":>10}']
+    ids = {*trace['evidence'], *trace['soft']}
+    for c in sorted(ids, key=lambda c: (-trace['evidence'].get(c, 0.0), c)):
+        lines.append(f'{c:>5}  {name(c)[:19]:<20}{trace["evidence"].get(c, 0.0):>10.4f}'
+                     + ''.join(f'{trace[key].get(c, 0.0):>9.4f}'
+                               for key in ('shares', 'soft', 'hard', 'anchor'))
+                     + f'{trace["replayed"].get(c, 0.0):>10.4f}')
+    return lines
+
+
+def history_table(trace, frames, name):
+    """Return the table of the stored observations, with the replay's steps."""
+    stamps = {frame.t: frame.stamp for frame in reversed(frames)}
+    lines = [f'{"t":>6}  {"stamp, s":<22}{"id":>5}  {"class":<20}{"s":>7}{"gap":>6}{"g":>3}'
+             f'{"weight":>9}  leader']
+    missing = trace['observations'] - len(trace['steps'])
+    if missing:
+        lines.append(f'        ({missing} older ones are not kept)')
+    for step in trace['steps']:
+        stamp = stamps.get(step['t'])
+        at = '-' if stamp is None else f'{stamp // 10 ** 9}.{stamp % 10 ** 9:09}'
+        lines.append(f'{step["t"]:>6}  {at:<22}{step["label"]:>5}  '
+                     f'{name(step["label"])[:19]:<20}{step["confidence"]:>7.4f}'
+                     f'{step["gap"]:>6}{step["surprise"]:>3}{step["weight"]:>9.5f}  '
+                     f'{step["leader"]} {name(step["leader"])}')
+    return lines

@@ -1,0 +1,49 @@
+"""Map points as a binary little-endian PLY file (spec section 8)."""
+
+import numpy as np
+from persem_ros.outputs.files import write_bytes
+from persem_ros.outputs.map.cloud import colors_of, COPIED
+
+PROPERTIES = (
+    ('x', 'float', '<f4'), ('y', 'float', '<f4'), ('z', 'float', '<f4'),
+    ('red', 'uchar', 'u1'), ('green', 'uchar', 'u1'), ('blue', 'uchar', 'u1'),
+    ('label', 'ushort', '<u2'), ('majority', 'ushort', '<u2'), ('confidence', 'float', '<f4'),
+    ('observations', 'uint', '<u4'), ('source', 'uchar', 'u1'))
+VERTEX = np.dtype([(name, code) for name, _, code in PROPERTIES])
+
+
+def write_ply(path, points, comments=()):
+    """
+    Write map points, whole or not at all.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    points : ndarray, shape (n,), persem_ros.outputs.map.cloud.POINT
+        The points.
+    comments : sequence of str
+        Lines for the header; map_comments gives the usual ones.
+
+    Raises
+    ------
+    PersemError
+        When the file cannot be written.
+
+    """
+    vertices = np.empty(len(points), VERTEX)
+    for name in ('x', 'y', 'z', *COPIED):
+        vertices[name] = points[name]
+    vertices['red'], vertices['green'], vertices['blue'] = colors_of(points).T
+    lines = ['ply', 'format binary_little_endian 1.0',
+             *(f'comment {" ".join(text.split())}' for text in comments),
+             f'element vertex {len(vertices)}',
+             *(f'property {kind} {name}' for name, kind, _ in PROPERTIES), 'end_header', '']
+    write_bytes(path, '\n'.join(lines).encode('ascii', 'replace'), memoryview(vertices).cast('B'))
+
+
+def map_comments(map_frame, origin, voxel_size):
+    """Return header lines that say where the points lie: frame, origin and voxel size."""
+    return [f'made by persem_ros; coordinates in metres in the frame {map_frame}',
+            f'origin {" ".join(repr(float(x)) for x in origin)} (to be added to x y z)',
+            f'voxel_size {float(voxel_size)!r}']

@@ -1,0 +1,212 @@
+"""
+The map file map.persem: one SQLite database, saved whole and loaded exactly (spec section 8).
+
+A row per block of 8 x 8 x 8 voxels holds their evidence and histories as plain little-endian
+binary columns; small tables hold what the map is about, its frames and its class counters.
+Any SQLite program reads the file; docs/map_file.md describes the columns.
+
+"""
+
+from contextlib import closing
+from dataclasses import dataclass, replace
+import logging
+from pathlib import Path
+import sqlite3
+import struct
+from urllib.parse import quote
+
+import numpy as np
+from persem_ros.core.memory.dump import dump, load as load_memory, MemoryDump
+from persem_ros.core.memory.pools import SIDE
+from persem_ros.errors import PersemError
+from persem_ros.outputs.files import replacing
+from persem_ros.outputs.map.rows import from_rows, ORDER, SCHEMA, TABLES, to_rows
+from persem_ros.settings import config_file
+from persem_ros.settings.legend import Legend
+
+log = logging.getLogger(__name__)
+
+APPLICATION = 0x50455253        # 'PERS', in the header of every map file
+EXPECTED = 'expected a .persem file, as a replay or ~/save_map leaves it'
+
+
+@dataclass(frozen=True, eq=False)
+class StoredMap:
+    """
+    What a map file holds.
+
+    Attributes
+    ----------
+    path : Path
+    saved : persem_ros.core.memory.dump.MemoryDump
+    map_frame : str
+        The coordinate frame in which the voxels lie.
+    settings : str
+        YAML text of the settings in force when it was saved.
+    legend : persem_ros.settings.legend.Legend
+
+    """
+
+    path: Path
+    saved: MemoryDump
+    map_frame: str
+    settings: str
+    legend: Legend
+
+    def memory(self, config=None):
+        """
+        Return a VoxelMemory that goes on exactly where the saved one stood.
+
+        Parameters
+        ----------
+        config : Config, optional
+            Settings with which mapping goes on.
+
+        Raises
+        ------
+        PersemError
+            Where voxels of these settings would not fit the map's.
+
+        """
+        saved = self.saved
+        if config is not None:
+            self._check_fits(config)
+            kept, wanted = saved.max_history, config.memory.max_history
+            if kept and not 0 < wanted <= kept:
+                log.warning('%s holds the newest %d observations of each voxel; older ones do '
+                            'not come back with memory.max_history %d', self.path, kept, wanted)
+            saved = replace(saved, max_history=wanted)
+        return load_memory(saved)
+
+    def bounds(self):
+        """Return the corners (3,) of all voxels' centres, metres in the map frame."""
+        saved = self.saved
+        cell = saved.cell.astype(np.int64)
+        voxel = np.repeat(saved.block_index.astype(np.int64) * SIDE, np.diff(saved.block_start),
+                          axis=0) + np.stack([cell >> 6, cell >> 3 & 7, cell & 7], axis=1)
+        return tuple((corner + 0.5) * saved.voxel_size + np.array(saved.origin)
+                     for corner in (voxel.min(axis=0), voxel.max(axis=0)))
+
+    def config(self):
+        """Return the Config in force when the map was saved."""
+        return config_file.from_text(self.settings, f'settings in {self.path}')
+
+    def _check_fits(self, config):
+        """Refuse settings whose voxels are other ones."""
+        for name, mine, other in (
+                ('memory.voxel_size', self.saved.voxel_size, config.memory.voxel_size),
+                ('map.origin', list(self.saved.origin), list(config.map.origin)),
+                ('frames.map', self.map_frame, config.frames.map)):
+            if mine != other:
+                raise PersemError(f'{self.path} was made with {name} {mine}, now it is {other}; '
+                                  f'give {name} {mine} or another map.path')
+
+
+def save(path, memory, config, legend=None):
+    """
+    Save a map, whole or not at all; the same map gives the same bytes.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file; an older one is replaced when the new one is whole and on the disk.
+    memory : VoxelMemory or MemoryDump
+        The map; a dump may be saved beside the mapping.
+    config : persem_ros.settings.config.Config
+        Settings in force.
+    legend : persem_ros.settings.legend.Legend, optional
+        Names and colours of the classes.
+
+    Raises
+    ------
+    PersemError
+        When the folder cannot be written or the disk is full.
+
+    """
+    saved = memory if isinstance(memory, MemoryDump) else dump(memory)
+    rows = to_rows(saved, {'settings': config_file.to_yaml(config),
+                           'map_frame': config.frames.map,
+                           'legend': legend.to_yaml() if legend is not None else ''})
+    with replacing(path) as work:
+        try:
+            with closing(sqlite3.connect(work, isolation_level=None)) as db:
+                db.executescript(
+                    'PRAGMA page_size = 8192; PRAGMA journal_mode = OFF; '
+                    'PRAGMA synchronous = OFF; PRAGMA locking_mode = EXCLUSIVE; '
+                    f'PRAGMA application_id = {APPLICATION}; PRAGMA user_version = {SCHEMA};'
+                    f'BEGIN; {TABLES}')
+                for table, content in rows.items():
+                    _insert(db, table, content)
+                db.execute('COMMIT')
+        except sqlite3.Error as error:
+            raise PersemError(f'cannot write {path}: {error}') from error
+
+
+def load(path):
+    """
+    Return the StoredMap in a file.
+
+    Raises
+    ------
+    PersemError
+        For a file that is missing, foreign, of another schema, or damaged.
+
+    """
+    path = Path(path)
+    _check_magic(path)
+    try:
+        # Immutable: no lock, no journal, nothing is ever written beside the file.
+        uri = f'file:{quote(str(path.resolve()))}?mode=ro&immutable=1'
+        with closing(sqlite3.connect(uri, uri=True)) as db:
+            _check_kind(db, path)
+            rows = {table: list(db.execute(f'SELECT * FROM {table} ORDER BY {key}'))
+                    for table, key in ORDER.items()}
+        about, saved = from_rows(rows)
+    except (sqlite3.Error, sqlite3.Warning, KeyError, TypeError, ValueError, IndexError,
+            OverflowError, struct.error) as error:
+        raise PersemError(f'{path}: damaged ({_why(error)}); expected a whole map file, restore '
+                          'it from a copy') from error
+    legend = Legend.from_yaml(about['legend'], str(path)) if about['legend'] else Legend()
+    return StoredMap(path, saved, about['map_frame'], about['settings'], legend)
+
+
+def _check_magic(path):
+    """Refuse a file that is not there, cannot be read or is no database at all."""
+    try:
+        with open(path, 'rb') as file:
+            magic = file.read(16)
+    except IsADirectoryError:
+        inside = path / 'map.persem'
+        what = f'did you mean {inside}?' if inside.is_file() else EXPECTED
+        raise PersemError(f'{path}: is a folder; {what}') from None
+    except OSError as error:
+        raise PersemError(f'{path}: cannot be read ({error.strerror}); {EXPECTED}') from None
+    if magic != b'SQLite format 3\0':
+        raise PersemError(f'{path}: not a map file; {EXPECTED}')
+
+
+def _check_kind(db, path):
+    """Refuse a database that is no map, or one of another schema."""
+    application = db.execute('PRAGMA application_id').fetchone()[0]
+    schema = db.execute('PRAGMA user_version').fetchone()[0]
+    if application != APPLICATION:
+        raise PersemError(f'{path}: a database, but not a map file; {EXPECTED}')
+    if schema != SCHEMA:
+        raise PersemError(f'{path}: a map file of schema {schema}, expected schema {SCHEMA}; '
+                          'use the version of persem_ros that wrote it, or replay the recording')
+
+
+def _insert(db, table, rows):
+    """Insert all rows, whose number of columns the first one tells."""
+    rows = iter(rows)
+    first = next(rows, None)
+    if first is not None:
+        statement = f'INSERT INTO {table} VALUES ({", ".join("?" * len(first))})'
+        db.execute(statement, first)
+        db.executemany(statement, rows)
+
+
+def _why(error):
+    """Return what is damaged, in a few words."""
+    text = str(error) if isinstance(error, (sqlite3.Error, ValueError)) else ''
+    return ' '.join(text.split())[:60] or type(error).__name__

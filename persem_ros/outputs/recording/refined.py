@@ -1,0 +1,71 @@
+"""The recording refined/: what a node would have published, as rosbag2."""
+
+from contextlib import ExitStack
+
+import numpy as np
+
+from persem_ros.outputs.recording.writer import RecordingWriter
+
+TYPES = {'mono8': np.uint8, '8UC1': np.uint8, 'mono16': np.uint16, '16UC1': np.uint16,
+         '16SC1': np.int16, '32SC1': np.int32}
+
+
+class RefinedWriter:
+    """
+    Writes /mapper/labels, /mapper/labels_color and the latched /mapper/map.
+
+    Parameters
+    ----------
+    path : Path
+        The recording's folder.
+    legend : persem_ros.settings.legend.Legend
+    config : persem_ros.settings.config.Config
+    watch : outputs.results.rundir.Stopwatch
+
+    """
+
+    def __init__(self, path, legend, config, watch):
+        self._out = RecordingWriter(path, compress=True, force=True)
+        self._legend, self._config, self._watch = legend, config, watch
+
+    def __enter__(self):
+        """Open the recording."""
+        with ExitStack() as stack:
+            stack.enter_context(self._out)
+            text = self._legend.to_yaml()
+            if text:
+                self._out.text('/mapper/legend', text, latched=True)
+            stack.pop_all()     # open now, until __exit__
+        return self
+
+    def __exit__(self, *error):
+        """Put the recording under its name, or remove what there is of it."""
+        return self._out.__exit__(*error)
+
+    def frame(self, frame, labels):
+        """Write a frame's refined labels, int32 (H, W), in the encoding of its input."""
+        with self._watch('write'):
+            base = f'/mapper/{frame.sensor}' if frame.sensor else '/mapper'
+            image = fitted(labels, frame.encoding)
+            self._out.image(f'{base}/labels', frame.stamp, frame.frame_id, image, frame.encoding)
+            self._out.image(f'{base}/labels_color', frame.stamp, frame.frame_id,
+                            self._legend.colors(image), 'rgb8')
+
+    def map(self, points, stamp):       # noqa: A003
+        """Write the map's points, latched."""
+        with self._watch('write'):
+            self._out.cloud('/mapper/map', stamp, self._config.frames.map, points, latched=True)
+
+
+def fitted(labels, encoding):
+    """
+    Return labels, int32, in the pixel type of an image encoding.
+
+    An id that the type cannot hold (another camera's, UNKNOWN) becomes its largest value.
+
+    """
+    pixel = np.dtype(TYPES[encoding])
+    limit = np.iinfo(pixel).max
+    if pixel.kind == 'u':
+        labels = labels.view(np.uint32)     # a negative id is a huge one
+    return np.minimum(labels, limit).astype(pixel)

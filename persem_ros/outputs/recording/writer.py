@@ -1,0 +1,202 @@
+"""Writing rosbag2 recordings (mcap or sqlite3) without ROS."""
+
+from contextlib import suppress
+from pathlib import Path
+import shutil
+import sqlite3
+import tempfile
+
+from persem_ros.errors import PersemError
+from persem_ros.outputs.recording.messages import MessageFactory
+from persem_ros.outputs.recording.target import check_target
+from rosbags.interfaces import (
+    Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime,
+)
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import get_typestore, Stores
+
+STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
+FILE_ERRORS = (OSError, sqlite3.Error)
+
+
+class RecordingWriter:
+    """
+    A rosbag2 recording that appears under its name only when it is whole.
+
+    Topic names get a leading slash where they have none. The log time of a message is its
+    stamp. A stamp of None (legends, static transforms) means "when the recording starts": the
+    header has stamp 0, the log time is that of the first message with a stamp.
+
+    With sqlite3 all calls must come from the thread that entered the context.
+
+    Parameters
+    ----------
+    path : str or Path
+        The recording's folder.
+    storage : str
+        'mcap' or 'sqlite3'.
+    compress : bool
+        Zstandard: whole chunks in mcap, single messages in sqlite3.
+    force : bool
+        Replace a recording of that name that holds no other files; other folders are never
+        replaced.
+
+    Raises
+    ------
+    PersemError
+        When the folder is in the way, cannot be written, or the disk is full.
+
+    """
+
+    def __init__(self, path, storage='mcap', compress=False, force=False):
+        if storage not in STORAGES:
+            raise PersemError(f'storage {storage!r}: expected one of {", ".join(STORAGES)}')
+        self.path = Path(path)
+        self.typestore = get_typestore(Stores.ROS2_JAZZY)
+        self.make = MessageFactory(self.typestore.types)
+        self._storage, self._compress, self._force = storage, compress, force
+        self._connections = {}
+        self._waiting = []      # messages without a stamp, until the recording starts
+        self._work = self._writer = None
+        check_target(self.path, force)
+
+    def __enter__(self):
+        target = self.path.absolute()
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            # Built under its final name inside a hidden folder: rosbag2 names files after it.
+            self._work = Path(tempfile.mkdtemp('.partial', f'.{target.name}.', target.parent))
+            self._writer = Writer(self._work / target.name, version=Writer.VERSION_LATEST,
+                                  storage_plugin=STORAGES[self._storage])
+            if self._compress:
+                self._writer.set_compression(
+                    CompressionMode.STORAGE if self._storage == 'mcap'
+                    else CompressionMode.MESSAGE, CompressionFormat.ZSTD)
+            self._writer.open()
+        except FILE_ERRORS as error:
+            self._discard()
+            raise self._refusal(error) from error
+        return self
+
+    def __exit__(self, kind, value, traceback):
+        if kind is not None:
+            self._discard()
+            return False
+        try:
+            self._start(0)
+            self._writer.close()
+            self._move()
+        except BaseException as error:
+            self._discard()
+            if isinstance(error, FILE_ERRORS):
+                raise self._refusal(error) from error
+            raise
+        shutil.rmtree(self._work, ignore_errors=True)
+        return False
+
+    def image(self, topic, stamp, frame_id, array, encoding):
+        """Write a sensor_msgs/Image of an (H, W) or (H, W, 3) array."""
+        message = self.make.image(stamp, frame_id, array, encoding)
+        self.message(topic, stamp, 'sensor_msgs/msg/Image', message)
+
+    def compressed(self, topic, stamp, frame_id, image_format, data):
+        """Write a sensor_msgs/CompressedImage of encoded bytes."""
+        message = self.make.compressed(stamp, frame_id, image_format, data)
+        self.message(topic, stamp, 'sensor_msgs/msg/CompressedImage', message)
+
+    def camera_info(self, topic, stamp, frame_id, width, height, K, D=(), model='plumb_bob',
+                    P=None):
+        """Write a sensor_msgs/CameraInfo; P is [K 0] where none is given."""
+        message = self.make.camera_info(stamp, frame_id, width, height, K, D, model, P)
+        self.message(topic, stamp, 'sensor_msgs/msg/CameraInfo', message)
+
+    def pose(self, topic, stamp, frame_id, T, kind='PoseStamped', child_frame=''):
+        """Write a pose, a 4x4 matrix from the posed frame to *frame_id*, as a message *kind*."""
+        self.message(topic, stamp, *self.make.pose(stamp, frame_id, T, kind, child_frame))
+
+    def tf(self, stamp, parent, child, T, static=False):
+        """Write a transform from *child* to *parent* to /tf, or latched to /tf_static."""
+        transform = self.make.transform(stamp or 0, parent, child, T)
+        self.message('/tf_static' if static else '/tf', stamp, 'tf2_msgs/msg/TFMessage',
+                     self.make.make('tf2_msgs/msg/TFMessage', [transform]), latched=static)
+
+    def cloud(self, topic, stamp, frame_id, points, latched=False):
+        """Write a sensor_msgs/PointCloud2 of a structured array."""
+        message = self.make.cloud(stamp, frame_id, points)
+        self.message(topic, stamp, 'sensor_msgs/msg/PointCloud2', message, latched)
+
+    def text(self, topic, text, latched=False, stamp=None):
+        """Write a std_msgs/String."""
+        message = self.make.make('std_msgs/msg/String', text)
+        self.message(topic, stamp, 'std_msgs/msg/String', message, latched)
+
+    def message(self, topic, stamp, typename, message, latched=False):
+        """
+        Write any message of the type *typename* at log time *stamp*.
+
+        A topic is latched (reliable, transient local) when its first message is.
+
+        """
+        data = self.typestore.serialize_cdr(message, typename)
+        connection = self._connection(topic, typename, latched)
+        if stamp is None:
+            self._waiting.append((connection, data))
+            return
+        self._start(stamp)
+        self._write(connection, stamp, data)
+
+    def _connection(self, topic, typename, latched):
+        topic = topic if topic.startswith('/') else f'/{topic}'
+        if (topic, typename) not in self._connections:
+            depth = 100 if topic in ('/tf', '/tf_static') else 1 if latched else 10
+            self._connections[topic, typename] = self._guarded(
+                self._writer.add_connection, topic, typename, typestore=self.typestore,
+                offered_qos_profiles=[_qos(depth, latched)])
+        return self._connections[topic, typename]
+
+    def _start(self, stamp):
+        """Write what waited for the first stamp."""
+        waiting, self._waiting = self._waiting, []
+        for connection, data in waiting:
+            self._write(connection, stamp, data)
+
+    def _write(self, connection, stamp, data):
+        self._guarded(self._writer.write, connection, int(stamp), data)
+
+    def _guarded(self, function, *args, **kwargs):
+        try:
+            return function(*args, **kwargs)
+        except FILE_ERRORS as error:
+            raise self._refusal(error) from error
+
+    def _refusal(self, error):
+        reason = getattr(error, 'strerror', None) or error
+        return PersemError(f'cannot write {self.path}: {reason}')
+
+    def _move(self):
+        """Put the finished folder in its place; the old one goes only when it is there."""
+        target = self.path.absolute()
+        check_target(target, self._force)
+        old = self._work / f'{target.name}.replaced'
+        try:
+            if target.exists():
+                target.rename(old)
+            (self._work / target.name).rename(target)
+        except BaseException:       # an interrupt, too: what goes wrong here keeps the old one
+            if old.exists() and not target.exists():
+                old.rename(target)
+            raise
+
+    def _discard(self):
+        if self._writer is not None:
+            with suppress(Exception):       # the error that led here is the one to report
+                self._writer.abort()
+        if self._work is not None:
+            shutil.rmtree(self._work, ignore_errors=True)
+
+
+def _qos(depth, latched):
+    unset = QosTime(0, 0)
+    durability = QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE
+    return Qos(QosHistory.KEEP_LAST, depth, QosReliability.RELIABLE, durability, unset, unset,
+               QosLiveliness.AUTOMATIC, unset, False)

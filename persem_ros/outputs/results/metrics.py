@@ -1,0 +1,240 @@
+"""How good and how steady labels are: streaming counts, results as in metrics.json (section 6)."""
+
+import functools
+
+import numpy as np
+
+from persem_ros.core.jit import kernel
+from persem_ros.core.refine.regions import REGIONS
+from persem_ros.errors import PersemError
+from persem_ros.frames import UNKNOWN
+from persem_ros.outputs.results.tally import CODES, codes_of, EVERYWHERE, percent, Tally
+
+TRUTH = 'truth'         # the truth measured against itself: its flicker is the floor
+
+
+class Metrics:
+    """
+    Counts over one sequence, for several methods at once.
+
+    Parameters
+    ----------
+    methods : sequence of str
+        Names of the methods, in the order of the result.
+    taxonomy : mapping of int to int, optional
+        Many-to-one table that is applied to truth and predictions before counting. A truth id
+        outside the table is ignored, a predicted one is wrong.
+
+    """
+
+    def __init__(self, methods, taxonomy=None):
+        self.methods = tuple(methods)
+        self._tallies = {name: Tally() for name in (*self.methods, TRUTH)}
+        self._table = _table(taxonomy)
+        self._pixels = np.zeros(CODES, np.int64)        # valid ones, by region
+        self._before = {}           # sensor -> (shape, valid, {method: its last labels})
+        self._has_truth = self._has_regions = False
+
+    def update(self, valid, predictions, truth=None, regions=None, sensor=''):
+        """
+        Count one integrated frame.
+
+        Parameters
+        ----------
+        valid : ndarray, shape (H, W), bool
+            The pixels that count, the same for every method: valid_pixels.
+        predictions : mapping or iterable of (str, ndarray, shape (H, W))
+            Labels by method, integers; below 0 or above 65534: unknown, which is wrong.
+        truth : ndarray, shape (H, W), integers, optional
+            True labels; needed where *valid* is true.
+        regions : ndarray, shape (H, W), uint8, optional
+            Bits of REGIONS of each pixel's voxel, 0 where it has none.
+        sensor : str
+            Flicker compares consecutive frames of one sensor.
+
+        """
+        shape = np.shape(valid)
+        valid = np.require(valid, np.bool_, 'CW').reshape(-1)
+        classes = np.full(valid.size, UNKNOWN, np.uint16)
+        if truth is not None:
+            self._has_truth = True
+            valid = mask_truth(_flat(truth, shape, 'truth'), self._table, valid, classes)
+        if regions is None:
+            codes = np.zeros(valid.size, np.uint8)
+        else:
+            self._has_regions = True
+            codes = np.require(regions, np.uint8, 'C').reshape(-1) & (CODES - 1)
+
+        last_shape, had, old = self._before.get(sensor, (None, None, {}))
+        if last_shape != shape:     # a size that changes starts the flicker anew
+            had, old = np.zeros(valid.size, np.bool_), {}
+        pairs, n_pairs = np.empty_like(valid), np.zeros(CODES, np.int64)
+        count_valid(valid, had, codes, pairs, self._pixels, n_pairs)
+        images = predictions.items() if hasattr(predictions, 'items') else predictions
+        new = {}
+        for name, image in (*images, *([] if truth is None else [(TRUTH, truth)])):
+            if name not in self._tallies:
+                raise PersemError(f'metrics: unexpected method {name!r}; expected one of '
+                                  f'{", ".join(self.methods)}')
+            tally = self._tallies[name]
+            if name in old:
+                new[name], compared = old[name], pairs
+                tally.pairs += n_pairs
+            else:                   # truth or method not given for the frame before
+                new[name], compared = np.zeros(valid.size, np.uint16), np.zeros_like(pairs)
+            tally.count(_flat(image, shape, name), classes, codes, compared, new[name],
+                        self._table)
+        self._before[sensor] = shape, valid, new
+
+    def result(self):
+        """
+        Return what was measured so far, as metrics.json has it.
+
+        Returns
+        -------
+        dict
+            truth_flicker in percent, methods {name: {pixel_accuracy, miou, flicker, iou}} in
+            percent, regions {name: {share, truth_flicker, methods}}, empty where update was
+            given none. None stands for what cannot be known: no truth, no pixels, one frame.
+
+        """
+        regions = {}
+        if self._has_regions:
+            regions = {name: {'share': self._share(name), **self._measured(name, iou=False)}
+                       for name in (EVERYWHERE, *REGIONS)}
+        return {**self._measured(EVERYWHERE, iou=True), 'regions': regions}
+
+    @property
+    def has_truth(self):
+        """Whether any frame so far had a truth, be it one of ignored ids alone."""
+        return self._has_truth
+
+    def flicker_counts(self):
+        """
+        Return {method: (changed pixels, compared pixels)} so far, 'truth' among the methods.
+
+        The difference between two calls is the flicker of the frames between them.
+
+        """
+        return {name: (int(tally.changed.sum()), int(tally.pairs.sum()))
+                for name, tally in self._tallies.items()}
+
+    def confusion(self, method):
+        """
+        Return a method's confusion matrix.
+
+        Returns
+        -------
+        ids : ndarray, shape (k,), int64
+            All ids of truth or prediction, sorted; 65535 is "unknown".
+        matrix : ndarray, shape (k, k), int64
+            Pixels by true id (row) and predicted id (column).
+
+        """
+        true, predicted, counts = self._tallies[method].triples(EVERYWHERE)
+        ids, places = np.unique(np.concatenate([true, predicted]), return_inverse=True)
+        matrix = np.zeros((len(ids), len(ids)), np.int64)
+        np.add.at(matrix, tuple(places.reshape(2, -1)), counts)
+        return ids, matrix
+
+    def _measured(self, region, iou):
+        """Return flicker and accuracy of every method within one region."""
+        return {'truth_flicker': self._tallies[TRUTH].flicker(region),
+                'methods': {name: self._tallies[name].measured(region, self._has_truth, iou)
+                            for name in self.methods}}
+
+    def _share(self, region):
+        """Return the percentage of all valid pixels that lie in the region."""
+        return percent(self._pixels[codes_of(region)].sum(), self._pixels.sum())
+
+
+def valid_pixels(labels, depth, ignore_labels, min_depth, max_depth, truth=None):
+    """
+    Return the mask of the pixels that count in every method's metrics.
+
+    Parameters
+    ----------
+    labels : ndarray, shape (H, W), integers
+        The input labels.
+    depth : ndarray, shape (H, W), float64
+        Metres; a measurement in range makes a pixel valid.
+    ignore_labels : sequence of int
+        Ids that are no labels; those below 0 and above 65534 never are.
+    min_depth, max_depth : float
+        Metres.
+    truth : ndarray, shape (H, W), integers, optional
+        True labels, subject to the same ids.
+
+    Returns
+    -------
+    ndarray, shape (H, W), bool
+
+    """
+    shape = np.shape(depth)
+    depth = np.require(depth, np.float64, 'CW').reshape(-1)
+    table = _ignoring(tuple(ignore_labels))
+    valid = np.empty(depth.size, np.bool_)
+    mask_valid(_flat(labels, shape, 'labels'), depth, table, float(min_depth), float(max_depth),
+               valid)
+    if truth is not None:
+        valid = mask_truth(_flat(truth, shape, 'truth'), table, valid,
+                           np.empty(depth.size, np.uint16))
+    return valid.reshape(shape)
+
+
+@functools.lru_cache(maxsize=16)
+def _ignoring(ignore_labels):
+    """Return the look-up table id -> id, UNKNOWN for the ignored ones, (65536,) uint16."""
+    table = np.arange(UNKNOWN + 1, dtype=np.uint16)
+    table[[c for c in ignore_labels if 0 <= c <= UNKNOWN]] = UNKNOWN
+    return table
+
+
+def _table(taxonomy):
+    """Return the look-up table id -> counted id, UNKNOWN for none, (65536,) uint16."""
+    if taxonomy is None:
+        return _ignoring(())
+    table = np.full(UNKNOWN + 1, UNKNOWN, np.uint16)
+    for fine, coarse in taxonomy.items():
+        if not (0 <= fine < UNKNOWN and 0 <= coarse < UNKNOWN):
+            raise PersemError(f'taxonomy: {fine} to {coarse}: expected ids from 0 to '
+                              f'{UNKNOWN - 1}')
+        table[fine] = coarse
+    return table
+
+
+def _flat(labels, shape, name):
+    """Return a label image as (H * W,) int32, or refuse another size."""
+    if np.shape(labels) != shape:
+        raise PersemError(f'metrics: {name} has shape {np.shape(labels)}, expected {shape} as '
+                          'the mask of valid pixels')
+    return np.require(labels, np.int32, 'CW').reshape(-1)
+
+
+@kernel
+def mask_valid(labels, depth, table, low, high, valid):
+    """Write whether the depth is in range and the label counted: valid, (n,) bool."""
+    for i in range(len(labels)):
+        inside = np.uint32(labels[i]) < UNKNOWN     # a negative label is a huge unsigned one
+        valid[i] = low <= depth[i] <= high and depth[i] > 0.0 and inside and \
+            table[labels[i]] != UNKNOWN
+
+
+@kernel
+def mask_truth(truth, table, valid, classes):
+    """Return valid & (true label is counted); write the counted ids, UNKNOWN for none."""
+    result = np.empty(len(truth), np.bool_)
+    for i in range(len(truth)):
+        known = valid[i] and np.uint32(truth[i]) < UNKNOWN
+        classes[i] = table[truth[i]] if known else UNKNOWN
+        result[i] = classes[i] != UNKNOWN
+    return result
+
+
+@kernel
+def count_valid(valid, had, codes, pairs, pixels, n_pairs):
+    """Write pairs = valid & had, (n,) bool, and add the numbers of both by region code."""
+    for i in range(len(valid)):
+        pairs[i] = valid[i] and had[i]
+        pixels[codes[i]] += valid[i]
+        n_pairs[codes[i]] += pairs[i]

@@ -1,0 +1,90 @@
+"""What a user should know of a run that went through: ids, legend, voxel size, far places."""
+
+from collections import Counter
+
+import numpy as np
+
+from persem_ros.frames import MAX_ID
+from persem_ros.preflight.voxel_fit import VoxelFit
+
+SIGNED = ('16SC1', '32SC1')     # encodings with ids that are out of range and not "no label"
+COARSE = 0.05                   # share of a voxel to which map points should be exact
+
+
+class Advice:
+    """
+    Sentences with what to type; nothing here changes a setting.
+
+    Parameters
+    ----------
+    config : persem_ros.settings.config.Config
+    legend : persem_ros.settings.legend.Legend
+
+    """
+
+    def __init__(self, config, legend):
+        self._config, self._legend = config, legend
+        self._odd = Counter()
+        self._far = None
+        self._fit = VoxelFit(config.memory)
+
+    def frame(self, frame):
+        """Look at one that was integrated, a persem_ros.frames.Frame."""
+        if frame.encoding in SIGNED:
+            self._count(frame.labels)
+        self._fit.frame(frame)
+        position = frame.T_map_camera[:3, 3]
+        if self._far is None and self._step(position) > COARSE * self._config.memory.voxel_size:
+            self._far = position
+
+    def sentences(self, seen_ids):
+        """
+        Return what there is to say, a list of sentences.
+
+        Parameters
+        ----------
+        seen_ids : ndarray, shape (65536,), uint8
+            Whether an id was integrated (VoxelMemory.seen_ids).
+
+        """
+        return [*self._about_ids(), *self._about_flags(seen_ids), *self._about_places()]
+
+    def about_voxels(self, memory):
+        """Return what there is to say of the voxels' size: known as soon as the map is whole."""
+        return list(self._fit.sentences(memory))
+
+    def _count(self, labels):
+        odd = (labels < 0) | (labels > MAX_ID)
+        if odd.any():
+            odd &= ~np.isin(labels, self._config.memory.ignore_labels)
+            self._odd['pixels'] += int(np.count_nonzero(odd))
+            self._odd['frames'] += bool(odd.any())
+
+    def _about_ids(self):
+        if self._odd['pixels']:
+            yield (f'{self._odd["pixels"]} pixels in {self._odd["frames"]} frames have ids below '
+                   f'0 or above {MAX_ID}; they were ignored')
+
+    def _about_flags(self, seen_ids):
+        """Compare the legend's flags with the settings, as far as the ids occur."""
+        memory = self._config.memory
+        dynamic = tuple(c for c in memory.dynamic_labels if c >= 0)
+        for flag, name, given in (('dynamic', 'dynamic_labels', dynamic),
+                                  ('ignored', 'ignore_labels', memory.ignore_labels)):
+            marked = [c for c in getattr(self._legend, flag) if seen_ids[c]]
+            if marked and not (flag == 'dynamic' and dynamic):
+                names = ', '.join(f'{c} ({self._legend.name(c)})' for c in marked)
+                value = ','.join(str(c) for c in (*given, *marked))
+                yield (f'the legend marks {names} as {flag}, the map holds what was seen of it; '
+                       f'to leave it out: --set memory.{name}={value}')
+
+    def _about_places(self):
+        if self._far is not None:
+            proposal = ','.join(f'{round(x, -3) + 0.0:.0f}' for x in self._far)
+            yield (f'positions are so large that map points (float32) are exact to '
+                   f'{self._step(self._far):.3g} m only; move the origin with '
+                   f'--set map.origin={proposal}')
+
+    def _step(self, position):
+        """Return the spacing of float32 numbers at a position (3,), metres."""
+        return float(np.spacing(np.float32(np.abs(position - self._config.map.origin).max())))

@@ -1,0 +1,204 @@
+"""What is in a recording: one row a topic, and what stands in the way of a replay."""
+
+from dataclasses import dataclass, field
+
+from persem_ros.inputs.assemble import Assembler
+from persem_ros.inputs.decode import messages
+from persem_ros.inputs.decode.camera import same_aspect
+from persem_ros.inputs.decode.messages import BadMessage
+from persem_ros.inputs.recording import latched
+from persem_ros.inputs.recording.topics import (
+    COMPRESSED, first_messages, IMAGE, INFO, NEEDED, POSES, TF, TRIED)
+from persem_ros.inputs.sync.poses import PoseBuffer
+
+HEADERS = {IMAGE, COMPRESSED, INFO, *POSES.values()}
+SHORTEST = 10**8             # ns; latched messages come in a burst, which is no rate
+LONGEST_HEADER = 1024
+
+
+@dataclass
+class Row:
+    """
+    What one topic holds.
+
+    Stamps are those of the headers, for types without a header those of the recorder, whose
+    clock may be another one.
+
+    """
+
+    name: str
+    msgtype: str
+    count: int = 0
+    encoding: str = ''
+    size: str = ''
+    frame: str = ''
+    first: int = None           # smallest stamp, ns
+    last: int = None            # largest stamp, ns
+    back: int = 0               # stamps smaller than the one before
+    repeated: int = 0
+    recorded: int = None        # earliest time of the recorder, ns
+    tried: int = field(default=0, repr=False)
+    previous: int = field(default=None, repr=False)
+
+    @property
+    def stamped(self):
+        """Whether the messages carry stamps that mean something."""
+        moving = self.msgtype == TF and not self.name.endswith('tf_static')
+        return self.msgtype in HEADERS or moving
+
+    @property
+    def rate(self):
+        """Messages per second between the first and the last stamp, 0 where there is none."""
+        span = (self.last or 0) - (self.first or 0)
+        return (self.count - 1) * 1e9 / span if span >= SHORTEST else 0.0
+
+    def see(self, stamp):
+        """Count a message with *stamp*, None where it has none."""
+        self.count += 1
+        if stamp is None:
+            return
+        self.first = stamp if self.first is None else min(self.first, stamp)
+        self.last = stamp if self.last is None else max(self.last, stamp)
+        if self.previous is not None and self.msgtype in HEADERS:
+            self.back += stamp < self.previous
+            self.repeated += stamp == self.previous
+        self.previous = stamp
+
+
+def survey(source, progress=iter):
+    """
+    Read a whole recording without decoding its images.
+
+    Parameters
+    ----------
+    source : persem_ros.inputs.recording.source.Source
+        The open recording.
+    progress : callable
+        Wraps the iterable of messages, for a progress bar.
+
+    Returns
+    -------
+    list of Row
+        By topic name.
+
+    """
+    rows = {(t.name, t.msgtype): Row(t.name, t.msgtype) for t in source.topics}
+    names = {t.name for t in source.topics}
+    for name, kind, time, data in progress(source.messages(names)):
+        row = rows[name, kind]
+        row.see(_stamp(kind, data) if row.stamped else time)
+        row.recorded = time if row.recorded is None else min(row.recorded, time)
+        if row.tried < TRIED:
+            _try_to_describe(row, source, data)
+    return list(rows.values())
+
+
+def problems(source, choice, config):
+    """
+    Return what stands in the way of a replay: sentences with flags to paste.
+
+    Parameters
+    ----------
+    source : persem_ros.inputs.recording.source.Source
+        The open recording.
+    choice : persem_ros.inputs.recording.topics.Choice
+        The topics that would be used.
+    config : persem_ros.settings.config.Config
+        The settings.
+
+    """
+    found = list(choice.problems)
+    names = {topic.name for chosen in choice.cameras.values() for topic in chosen.values()}
+    firsts = first_messages(source, names)
+    statics = latched.read(source, choice).statics
+    for chosen in choice.cameras.values():
+        samples = {kind: firsts[topic.name] for kind, topic in chosen.items()
+                   if topic.name in firsts}
+        found += _unusable(chosen, samples, config)
+        if not choice.problems:
+            found += _unmounted(statics, samples, config)
+    return list(dict.fromkeys(found))
+
+
+def _stamp(kind, data):
+    """Return the stamp in a serialized message, None where it has none."""
+    # A TFMessage begins with the number of its transforms, each of which begins with a header.
+    data = data if kind in HEADERS else data[:4] + data[8:8 + LONGEST_HEADER]
+    try:
+        return messages.header(data)[0]
+    except BadMessage:
+        return None
+
+
+def _try_to_describe(row, source, data):
+    """Fill in what a message tells, unless it is damaged."""
+    row.tried += 1
+    try:
+        _describe(row, source.decode(data, row.msgtype))
+        row.tried = TRIED
+    except BadMessage:          # damaged, or of a type that is not known here
+        return
+
+
+def _describe(row, msg):
+    """Fill in what the first message tells."""
+    row.encoding = getattr(msg, 'encoding', None) or getattr(msg, 'format', '') or \
+        getattr(msg, 'distortion_model', '')
+    if hasattr(msg, 'width') and hasattr(msg, 'height'):
+        row.size = f'{msg.width}x{msg.height}'
+    elif row.msgtype == COMPRESSED:
+        row.size = _compressed_size(msg)
+    if hasattr(msg, 'header'):
+        row.frame = msg.header.frame_id
+        row.frame += f' -> {msg.child_frame_id}' if getattr(msg, 'child_frame_id', '') else ''
+    elif row.msgtype == TF and msg.transforms:
+        first = msg.transforms[0]
+        row.frame = f'{first.header.frame_id} -> {first.child_frame_id}'
+
+
+def _compressed_size(msg):
+    """Return the size of a compressed image, '' where it cannot be decoded."""
+    read = messages.depth if 'compressedDepth' in msg.format else messages.color
+    try:
+        height, width = read(msg).shape[:2]
+    except BadMessage:
+        return ''
+    return f'{width}x{height}'
+
+
+def _unusable(chosen, samples, config):
+    """Return what is wrong with the first messages of the images and camera infos."""
+    found, sizes = [], {}
+    for kind, read in (('labels', lambda msg: messages.labels(msg)[0]), ('depth', messages.depth),
+                       ('camera_info', Assembler(config.camera.rectified).add_info)):
+        if kind not in chosen:
+            continue
+        if kind not in samples:
+            found.append(f'{chosen[kind].name} has no message that can be read')
+            continue
+        try:
+            result = read(samples[kind])
+            sizes[kind] = None if result is None else result.shape[::-1]
+        except BadMessage as fault:
+            found.append(f'{NEEDED[kind]} on {chosen[kind].name}: {fault}')
+    labels, depth = sizes.get('labels'), sizes.get('depth')
+    if labels and depth and not same_aspect(labels, depth):
+        found.append(f'label images are {labels[0]} x {labels[1]}, depth images {depth[0]} x '
+                     f'{depth[1]}: expected one aspect ratio')
+    return found
+
+
+def _unmounted(statics, samples, config):
+    """Return the sentence for poses that nothing connects with the camera."""
+    if 'pose' not in samples or 'depth' not in samples:
+        return []
+    poses = PoseBuffer(config)
+    for transform in statics:
+        poses.add_static(*transform)
+    try:
+        stamp, T, parent, child = messages.pose(samples['pose'])
+    except BadMessage as fault:
+        return [f'poses: {fault}']
+    poses.add(stamp, T, parent, child)
+    frame = messages.frame_id(samples['depth']) or messages.frame_id(samples['labels'])
+    return [poses.mount_sentence(frame)] if poses.lookup(stamp, frame).T is None else []

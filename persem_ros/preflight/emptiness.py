@@ -1,0 +1,93 @@
+"""Why nothing of a recording went into the map: what its pixels lacked, and what to type."""
+
+from dataclasses import replace
+import math
+
+import numpy as np
+
+from persem_ros.core.frame.images import counted, resampled
+
+SHOWN = 8       # ids in a sentence
+
+
+class Emptiness:
+    """
+    What the pixels of frames without any observation have.
+
+    Parameters
+    ----------
+    settings : persem_ros.settings.config.Memory
+
+    """
+
+    def __init__(self, settings):
+        self._settings = settings
+        self._every = replace(settings, stride=1)
+        self._low, self._high = math.inf, -math.inf     # of the depths that are measurements
+        self._near = self._in_range = self._labelled = self._both = False
+        self._ids = set()
+
+    def frame(self, frame):
+        """Look at a persem_ros.frames.Frame that gave no observation."""
+        settings, labels = self._settings, resampled(frame.labels, frame.depth.shape)
+        measured = np.isfinite(frame.depth) & (frame.depth > 0.0)
+        if measured.any():
+            depth = frame.depth[measured]
+            self._low = min(self._low, float(depth.min()))
+            self._high = max(self._high, float(depth.max()))
+            self._near |= bool((depth < settings.min_depth).any())
+        inside = measured & (settings.min_depth <= frame.depth) \
+            & (frame.depth <= settings.max_depth)
+        known = counted(labels, self._every) >= 0
+        self._in_range |= bool(inside.any())
+        self._labelled |= bool(known.any())
+        self._both |= bool((inside & known).any())
+        if len(self._ids) <= SHOWN:
+            self._ids.update(np.unique(labels).tolist())
+
+    def sentence(self):
+        """Return why nothing was observed."""
+        settings = self._settings
+        if self._high < 0:
+            return 'no pixel has a depth: all of them are 0, NaN or infinite'
+        if not self._in_range:
+            return (f'no pixel was between memory.min_depth {settings.min_depth:g} m and '
+                    f'memory.max_depth {settings.max_depth:g} m; depths are {self._low:.4g} to '
+                    f"{self._high:.4g} m: is the depth's unit right{self._other_range()}?")
+        if not self._labelled:
+            ids = sorted(self._ids)[:SHOWN]
+            more = ', …' if len(self._ids) > SHOWN else ''
+            return (f'no pixel has a label that counts; the ids are '
+                    f'{", ".join(map(str, ids))}{more}, left out are memory.ignore_labels '
+                    f'{list(settings.ignore_labels)}, memory.dynamic_labels '
+                    f'{list(settings.dynamic_labels)} and ids below 0 or above 65534')
+        if not self._both:
+            return ('no pixel has both, a depth in range and a label that counts: pixels with a '
+                    'label have no depth between memory.min_depth and memory.max_depth, or are '
+                    'the images of different places?')
+        if settings.min_pixels > 1:
+            return (f'no voxel was seen by memory.min_pixels {settings.min_pixels} pixels of a '
+                    f'frame (memory.stride is {settings.stride})')
+        return (f'no pixel of those that memory.stride {settings.stride} leaves has depth and '
+                'a label that counts, or positions and depths are of no place (a million voxels '
+                'away)')
+
+    def _other_range(self):
+        """Return the option with which the depths would be in range."""
+        if not self._near:
+            return f', or --set memory.max_depth={_up(self._high)}'
+        if self._high < self._settings.min_depth:
+            return f', or --set memory.min_depth={_down(self._low)}'
+        return ''
+
+
+def _up(metres):
+    """Return the next larger number of two digits, as text."""
+    step = 10.0 ** (math.floor(math.log10(metres)) - 1)
+    return f'{math.ceil(metres / step) * step:.6g}'
+
+
+def _down(metres):
+    """Return the next smaller number of two digits, as text."""
+    step = 10.0 ** (math.floor(math.log10(metres)) - 1)
+    return f'{math.floor(metres / step) * step:.6g}'

@@ -1,0 +1,61 @@
+"""Whether the voxels suit the recording: neither coarse for its pixels nor too fine for it."""
+
+import math
+
+import numpy as np
+
+EVERY = 8           # pixels between those whose depth is looked at
+PIXELS = 60.0       # across a voxel: more is coarse
+GOOD = 10.0         # pixels across the voxel proposed in place of a coarse one
+ENOUGH = 4.0        # pixels across the voxel proposed in place of a fine one, at least
+SEEN = 1.5          # observations per voxel: fewer is too fine …
+FRAMES = 10         # … where there are at least that many frames
+
+
+class VoxelFit:
+    """
+    What a voxel spans in the images, and how often it is seen again.
+
+    Parameters
+    ----------
+    settings : persem_ros.settings.config.Memory
+
+    """
+
+    def __init__(self, settings):
+        self._settings = settings
+        self._depths, self._footprints = [], []     # by frame, metres
+
+    def frame(self, frame):
+        """Look at a frame that was integrated, a persem_ros.frames.Frame."""
+        settings, depth = self._settings, frame.depth[::EVERY, ::EVERY]
+        depth = depth[(depth > 0.0) & (settings.min_depth <= depth)
+                      & (depth <= settings.max_depth)]
+        if len(depth):
+            middle = float(np.median(depth))
+            self._depths.append(middle)
+            self._footprints.append(settings.stride * middle / float(frame.camera.K[0, 0]))
+
+    def sentences(self, memory):
+        """Yield what there is to say of the voxels of a core.memory.voxel_memory.VoxelMemory."""
+        if not self._depths or not memory.n_voxels:
+            return
+        depth, footprint = np.median(self._depths), float(np.median(self._footprints))
+        size = memory.voxel_size
+        if size > PIXELS * footprint:
+            yield (f'a voxel of {size:g} m spans about {size / footprint:.0f} pixels at the '
+                   f'median depth of {depth:.2g} m, so small things vanish in it: try '
+                   f'--set memory.voxel_size={_rounded(GOOD * footprint)}')
+        seen = memory.n_observations / memory.n_voxels
+        if seen < SEEN and len(self._depths) >= FRAMES:
+            proposal = _rounded(max(ENOUGH * footprint, 2 * size))
+            yield (f'hardly any voxel was seen twice: {seen:.1f} observations per voxel in '
+                   f'{len(self._depths)} frames, so there is nothing to refine; larger voxels '
+                   f'are seen more often, for example --set memory.voxel_size={proposal}; if '
+                   'that does not help, are the poses right?')
+
+
+def _rounded(metres):
+    """Return a length rounded to one digit, at least the smallest voxel, as text."""
+    step = 10.0 ** math.floor(math.log10(metres))
+    return f'{max(round(metres / step) * step, 1e-3):.6g}'

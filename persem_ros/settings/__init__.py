@@ -1,0 +1,7 @@
+"""
+Settings and legends: every setting once, its YAML in ROS form, what class ids mean.
+
+In: YAML files, words of the command line, ROS parameters. Out: a Config, a Legend.
+Everybody may enter; nothing in here knows arrays, messages or recordings.
+
+"""

@@ -1,0 +1,302 @@
+"""The noun legend: what a class id is called, its colour, its group."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+import logging
+import os
+from pathlib import Path
+import site
+import sys
+import sysconfig
+
+import numpy as np
+from persem_ros.errors import PersemError
+from persem_ros.frames import MAX_ID, UNKNOWN
+from persem_ros.settings.config import nearest
+import yaml
+
+LOG = logging.getLogger(__name__)
+GREY = 96, 96, 96       # of ids that the settings ignore
+FIELDS = ('id', 'name', 'color', 'group', 'ignored', 'dynamic')
+
+
+@dataclass(frozen=True)
+class LegendClass:
+    """
+    One class.
+
+    Attributes
+    ----------
+    id : int
+        0 .. 65535 (65535 and 255 usually stand for "no label").
+    name : str
+        As shown to people; not trusted, escape it in HTML.
+    color : tuple of int
+        Red, green, blue, 0 .. 255.
+    group : str
+        The coarser class it belongs to; its own name where the file names none.
+    ignored : bool
+        Not a class but the absence of one: neither mapped nor counted.
+    dynamic : bool
+        A thing that moves by itself: vehicles, people.
+
+    """
+
+    id: int         # noqa: A003 - the word of the file format
+    name: str
+    color: tuple
+    group: str = ''
+    ignored: bool = False
+    dynamic: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Legend:
+    """
+    The classes of a data set, in the order of its file.
+
+    A legend without classes is a valid one: every id then has a made-up colour and name.
+    unlabelled holds ids that the settings ignore: grey and called so, unless they are classes.
+
+    """
+
+    title: str = ''
+    classes: tuple = ()
+    _warned: list = field(default_factory=list, repr=False)
+    unlabelled: tuple = ()
+
+    def __eq__(self, other):
+        """Legends are equal when their classes are, whatever they are called."""
+        return isinstance(other, Legend) and self.classes == other.classes
+
+    __hash__ = None
+
+    @classmethod
+    def from_yaml(cls, text, source='legend'):
+        """
+        Read a legend from YAML text; *source* names it in refusals.
+
+        Raises
+        ------
+        PersemError
+            When the text is not a legend: one line that names the class and what is wrong.
+
+        """
+        try:
+            content = yaml.safe_load(text)
+        except (yaml.YAMLError, RecursionError, ValueError) as error:
+            raise PersemError(f'{source}: not YAML: {_one_line(error)}') from None
+        rows = content.get('classes') if isinstance(content, dict) else None
+        if not isinstance(rows, list) or not rows:
+            raise PersemError(f"{source}: expected a mapping with a list 'classes' of "
+                              '{id, name, color, group, ignored, dynamic}')
+        classes = tuple(_class(row, f'{source}: classes[{i}]') for i, row in enumerate(rows))
+        seen = {}
+        for item in classes:
+            if item.id in seen:
+                raise PersemError(f'{source}: id {item.id} is given twice, to {seen[item.id]!r} '
+                                  f'and {item.name!r}; ids are unique')
+            seen[item.id] = item.name
+        return cls(str(content.get('title', '')), classes)
+
+    def ignoring(self, ids):
+        """Return the same legend, to which the *ids* that are no class of it are ignored ones."""
+        return Legend(self.title, self.classes, unlabelled=tuple(
+            c for c in ids if 0 <= c <= UNKNOWN and c not in self.ids))
+
+    def to_yaml(self):
+        """Return the legend as YAML text, one line a class; from_yaml reads it back."""
+        lines = [f'title: {_scalar(self.title)}', 'classes:']
+        for item in self.classes:
+            flags = ''.join(f', {flag}: true' for flag in ('ignored', 'dynamic')
+                            if getattr(item, flag))
+            lines.append(f'- {{id: {item.id}, name: {_scalar(item.name)}, '
+                         f'color: {list(item.color)}, group: {_scalar(item.group)}{flags}}}')
+        return '\n'.join(lines) + '\n' if self.classes else ''
+
+    @property
+    def ids(self):
+        """All ids of the legend, as a tuple in its order."""
+        return tuple(item.id for item in self.classes)
+
+    @property
+    def ignored(self):
+        """Return the ids that are not observations, as a tuple."""
+        return tuple(item.id for item in self.classes if item.ignored)
+
+    @property
+    def dynamic(self):
+        """Return the ids of things that move, as a tuple."""
+        return tuple(item.id for item in self.classes if item.dynamic)
+
+    def name(self, label):
+        """Return the name of a class id, 'class 7' for an id that the legend does not know."""
+        item = self._by_id.get(int(label))
+        if item is None and int(label) in self.unlabelled:
+            return 'ignored'
+        return item.name if item else f'class {int(label)}'
+
+    def groups(self):
+        """Return {group: tuple of ids}, ignored ids left out, in the order of the legend."""
+        result = {}
+        for item in self.classes:
+            if not item.ignored:
+                result[item.group] = result.get(item.group, ()) + (item.id,)
+        return result
+
+    def color(self, label):
+        """Return the colour (red, green, blue) of one class id."""
+        return tuple(int(v) for v in self.colors(np.array([label], np.int32))[0])
+
+    def colors(self, ids):
+        """
+        Return the colours of an array of ids.
+
+        An id that the legend does not know has a colour of its own, the same in every run, and
+        is warned about once. Negative ids and ids above 65535 are black.
+
+        Parameters
+        ----------
+        ids : ndarray of integers, any shape
+            Class ids.
+
+        Returns
+        -------
+        ndarray, shape (*ids.shape, 3), uint8
+            Red, green, blue.
+
+        """
+        ids = np.asarray(ids)
+        if ids.dtype not in (np.uint8, np.uint16):
+            ids = ids.astype(np.int64)      # NumPy 2.5 refuses 65535 among int16
+            ids = np.where((ids < 0) | (ids > UNKNOWN), UNKNOWN, ids).astype(np.uint16)
+        packed = self._palette.take(ids)            # four bytes a pixel: one move, not three
+        if self.classes and not self._warned:
+            self._warn(packed, ids)
+        return np.ascontiguousarray(packed.view(np.uint8).reshape(*ids.shape, 4)[..., :3])
+
+    def _warn(self, packed, ids):
+        """Log the ids that the legend does not know, once in its life."""
+        strange = packed.view(np.uint8).reshape(*ids.shape, 4)[..., 3] == 0
+        if strange.any():
+            self._warned.extend(np.unique(ids[strange]).tolist())
+            LOG.warning('ids %s are not in the legend%s, their colours are made up',
+                        ', '.join(map(str, self._warned[:20])),
+                        f' {self.title!r}' if self.title else '')
+
+    @cached_property
+    def _by_id(self):
+        return {item.id: item for item in self.classes}
+
+    @cached_property
+    def _palette(self):
+        """Red, green, blue and "known" of every id as one uint32, shape (65536,)."""
+        table = np.zeros((UNKNOWN + 1, 4), np.uint8)
+        table[:, :3] = made_up_colors(np.arange(UNKNOWN + 1))
+        table[list(self.unlabelled)] = *GREY, 1
+        table[UNKNOWN] = 0, 0, 0, 1
+        for item in self.classes:
+            table[item.id] = *item.color, 1
+        return table.view(np.uint32).ravel()
+
+
+def made_up_colors(ids):
+    """Return distinct colours, shape (n, 3), uint8, for ids without a legend; fixed per id."""
+    ids = np.asarray(ids, np.int64)
+    hue = ids * 0.6180339887498949 % 1.0            # the golden ratio never comes near itself
+    value = np.choose(ids % 3, (0.95, 0.72, 0.5))
+    chroma = value * np.choose(ids // 3 % 2, (0.75, 0.5))
+    ramp = np.abs((hue[:, None] * 6 + np.array([0.0, 4.0, 2.0])) % 6 - 3) - 1
+    return np.rint(255 * (value[:, None] - chroma[:, None] * (1 - ramp.clip(0, 1)))) \
+        .astype(np.uint8)
+
+
+def load_legend(name):
+    """
+    Return the Legend of a shipped name (town, uavscenes, forest, cityscapes) or of a file.
+
+    Raises
+    ------
+    PersemError
+        When there is neither, or the file is not a legend.
+
+    """
+    shipped = shipped_legends()
+    path = shipped.get(str(name)) or Path(name)
+    if not str(name) or not path.is_file():
+        raise PersemError(f'legend {str(name)!r}: neither a file nor a shipped legend'
+                          f'{nearest(name, shipped)}; shipped: {", ".join(shipped)}')
+    try:
+        text = path.read_text(encoding='utf-8')
+    except (OSError, UnicodeDecodeError) as error:
+        raise PersemError(f'{path}: cannot be read as text: {_one_line(error)}') from None
+    return Legend.from_yaml(text, str(path))
+
+
+def shipped_legends():
+    """Return {name: path} of the legends that came with the package."""
+    for folder in _folders():
+        files = sorted(folder.glob('*.yaml'))
+        if files:
+            return {path.stem: path for path in files}
+    raise PersemError('the shipped legends are missing: expected share/persem_ros/config/labels '
+                      "below the installation's prefix; reinstall persem_ros")
+
+
+def _folders():
+    """Yield where config/labels may be: source tree, environment, ROS prefixes."""
+    root = Path(__file__).resolve().parents[2]
+    yield root / 'config' / 'labels'
+    prefixes = [sys.prefix, sysconfig.get_path('data'), site.getuserbase(), root,
+                *os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)]
+    for prefix in filter(None, prefixes):
+        yield Path(prefix) / 'share' / 'persem_ros' / 'config' / 'labels'
+
+
+def _class(row, where):
+    """Return the LegendClass of one row of the file, or refuse it."""
+    if not isinstance(row, dict):
+        raise PersemError(f'{where}: expected {{id, name, color, ...}}, got {row!r:.60}')
+    for key in row:
+        if key not in FIELDS:
+            raise PersemError(f'{where}: unknown key {key!r:.60}{nearest(key, FIELDS)}; known: '
+                              f'{", ".join(FIELDS)}')
+    number, name = row.get('id'), row.get('name')
+    if type(number) is not int or not 0 <= number <= UNKNOWN:
+        raise PersemError(
+            f'{where}: id: expected an integer 0 .. {UNKNOWN}, got {number!r:.60}')
+    if not isinstance(name, str) or not name.strip():
+        raise PersemError(f'{where}: name: expected text, got {name!r:.60} (quote words like no)')
+    flags = {flag: row.get(flag, False) for flag in ('ignored', 'dynamic')}
+    for flag, value in flags.items():
+        if type(value) is not bool:
+            raise PersemError(f'{where}: {flag}: expected true or false, got {value!r:.60}')
+    if number > MAX_ID and not flags['ignored']:
+        raise PersemError(f'{where}: id {number} means "no label": expected ignored: true')
+    return LegendClass(number, name, _color(row.get('color'), number, where),
+                       str(row.get('group') or name), **flags)
+
+
+def _color(value, number, where):
+    """Return (red, green, blue) of [r, g, b], '#rrggbb' or nothing."""
+    if value is None:
+        return tuple(int(v) for v in made_up_colors([number])[0])
+    if isinstance(value, str) and len(value) == 7 and value[0] == '#':
+        try:
+            return tuple(bytes.fromhex(value[1:]))
+        except ValueError:
+            pass
+    if isinstance(value, list) and len(value) == 3 and \
+            all(type(v) is int and 0 <= v <= 255 for v in value):
+        return tuple(value)
+    raise PersemError(f"{where}: color: expected [red, green, blue] of 0 .. 255 or '#rrggbb', "
+                      f'got {value!r:.60}')
+
+
+def _scalar(text):
+    """Return *text* as a YAML scalar that fits into one line."""
+    return yaml.safe_dump(text, default_style='"', width=1 << 20, allow_unicode=True).strip()
+
+
+def _one_line(error):
+    return ' '.join(str(error).split())

@@ -1,0 +1,103 @@
+"""A memory that was dumped, loaded and continued equals one that never stopped."""
+
+from dataclasses import fields, replace
+
+from core_worlds import core_of, examples, observations, refinements, worlds
+from hypothesis import given, strategies as st
+import numpy as np
+from persem_ros.core.memory.dump import dump, load
+from persem_ros.core.memory.voxel_memory import VoxelMemory
+from persem_ros.core.refine.job import begin, finish, refine
+from persem_ros.core.refine.regions import regions
+from persem_ros.settings.config import METHODS, Refine
+
+
+def content(memory):
+    """Return everything that a memory answers, voxel by voxel."""
+    columns = memory.voxels()
+    numbers = columns.pop('number')
+    codes, entropy, rate = (a[numbers].tobytes() for a in regions(memory))
+    rows = [(memory.evidence(v), [a.tobytes() for a in memory.history(v)])
+            for v in columns['voxel']]
+    frames = [(f.t, f.session, f.sensor, f.stamp, f.T_map_sensor.tolist()) for f in memory.frames]
+    rho = None if memory.rho is None else memory.rho.tobytes()
+    return ({k: a.tobytes() for k, a in columns.items()}, rows, frames, rho, codes, entropy, rate,
+            memory.volatility().tobytes(), memory.n_observations, memory.voxel_size,
+            memory.origin, memory.max_history, memory.session, memory.seen_ids.tobytes())
+
+
+def parts(saved):
+    """Return a dump's columns as bytes."""
+    return [a.tobytes() if isinstance(a, np.ndarray) else a for a in (
+        getattr(saved, f.name) for f in fields(saved) if f.name != 'frames')]
+
+
+@given(worlds(most_frames=24), refinements(), st.sampled_from(METHODS),
+       st.sampled_from([0, 1, 5, 8, 11]), st.integers(0, 24), st.booleans(), st.booleans())
+@examples(max_examples=150)
+def test_stopped_and_continued_equals_never_stopped(frames, settings, method, bound, cut,
+                                                    refined, session):
+    settings = replace(settings, method=method)
+    straight = core_of(frames[:cut], bound)
+    if refined:
+        refine(straight, settings)
+    saved = dump(straight)
+    stopped = load(saved)
+    assert content(stopped) == content(straight)
+    assert parts(dump(stopped)) == parts(saved)
+    for memory in (straight, stopped):
+        if session:
+            memory.new_session()
+        for i, (stamp, seen, ids) in enumerate(frames[cut - 1 if cut else 0:]):
+            memory.add(observations(stamp, seen, ids))
+            if i % 3 == 0:
+                refine(memory, settings, full=False)
+    assert content(stopped) == content(straight)
+    refine(straight, settings)
+    refine(stopped, settings)
+    assert content(stopped) == content(straight)
+
+
+def test_a_dump_is_a_copy():
+    memory = core_of([(1, {(0, 0, 0): (3, 1.0)}, ())])
+    saved = dump(memory)
+    before = parts(saved)
+    memory.add(observations(2, {(0, 0, 0): (4, 1.0), (0, 0, 1): (4, 1.0)}))
+    refine(memory, replace(Refine(), min_observations=1))
+    assert parts(saved) == before and len(saved.frames) == 1
+    loaded = load(saved)
+    loaded.add(observations(2, {(0, 0, 0): (4, 1.0)}))
+    assert parts(saved) == before and len(saved.frames) == 1
+
+
+def test_a_map_saved_during_a_refinement_is_refined_when_it_comes_back():
+    frames = [(t, {(0, 0, 0): (1 if t % 2 else 2, 0.5 if t % 2 else 0.4), (1, 0, 0): (2, 1.0)},
+               ()) for t in range(6)]
+    memory = core_of(frames)
+    refine(memory, Refine())
+    memory.add(observations(9, frames[0][1]))
+    job = begin(memory, Refine(), full=False)
+    loaded = load(dump(memory))         # what the job will find is not in it
+    finish(job, *job.compute())
+    for other in (memory, loaded):
+        refine(other, Refine(), full=False)
+    assert content(loaded) == content(memory)
+
+
+def test_an_empty_memory():
+    loaded = load(dump(VoxelMemory(0.25, origin=(1.0, 2.0, 3.0), max_history=7)))
+    assert content(loaded) == content(VoxelMemory(0.25, (1.0, 2.0, 3.0), 7))
+
+
+def test_blocks_and_voxels_are_dumped_in_order_whatever_the_order_of_arrival():
+    rng = np.random.default_rng(0)
+    voxels = [tuple(int(x) for x in v) for v in rng.integers(-30, 30, (500, 3))]
+    one = core_of([(1, {v: (1, 1.0) for v in voxels}, ())])
+    two = core_of([(1, {v: (1, 1.0) for v in reversed(voxels)}, ())])
+    assert parts(dump(one)) == parts(dump(two))
+    saved = dump(one)
+    assert [tuple(b) for b in saved.block_index.tolist()] == sorted(
+        {tuple(x >> 3 for x in v) for v in voxels})
+    for b in range(len(saved.block_index)):
+        cells = saved.cell[saved.block_start[b]:saved.block_start[b + 1]]
+        assert (np.diff(cells.astype(int)) > 0).all()

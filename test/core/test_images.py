@@ -1,0 +1,115 @@
+"""The image front end against the reference: what counts, where it is, other sizes."""
+
+from dataclasses import replace
+
+from core_worlds import examples, IDS, NO_IDS, pose, seeds
+from hypothesis import given, strategies as st
+import numpy as np
+from persem_ros.core import jit
+from persem_ros.core.frame.images import placed, points
+from persem_ros.core.frame.observe import place
+from persem_ros.errors import PersemError
+from persem_ros.frames import Frame, pinhole
+from persem_ros.settings.config import Memory
+import pytest
+import reference as ref
+
+NO_DEPTHS = (0.0, np.nan, np.inf, -np.inf, -1.0)
+
+
+def frame_of(labels, depth, fx=40.0):
+    """Return a Frame of two images, with a camera for the depth's size."""
+    depth = np.asarray(depth, np.float64)
+    h, w = depth.shape
+    return Frame(0, np.asarray(labels, np.int32), depth,
+                 pinhole(w, h, fx, fx * 1.1, (w - 1) / 2, (h - 1) / 2 + 0.3))
+
+
+def counted(frame, settings):
+    """Return the points and labels that count, as the reference lists them."""
+    xyz, labels = points(frame, settings)
+    assert xyz.dtype == np.float64 and labels.dtype == np.int32
+    assert xyz.shape == (frame.depth.size, 3) and labels.shape == (frame.depth.size,)
+    chosen = np.isfinite(xyz).all(axis=1) & (labels >= 0) & (labels <= 65534)
+    return [tuple(map(float, p)) for p in xyz[chosen]], labels[chosen].tolist()
+
+
+def expected(frame, settings):
+    """Return what the reference makes of the same frame."""
+    return ref.backproject(frame.depth, frame.camera.rays, frame.labels,
+                           settings.ignore_labels, settings.dynamic_labels,
+                           settings.min_depth, settings.max_depth, settings.stride)
+
+
+@given(seeds, st.integers(1, 12), st.integers(1, 12), st.integers(1, 4),
+       st.sampled_from([(255, 65535), (0,), (-1,), (65534, 3, 70000)]),
+       st.sampled_from([(-1,), (2, 5), (65533,)]))
+@examples(max_examples=150)
+def test_random_frames(seed, h, w, stride, ignored, dynamic):
+    rng = np.random.default_rng(seed)
+    depth = rng.uniform(0.0, 12.0, (h, w))
+    chosen = rng.random((h, w)) < 0.3
+    depth[chosen] = rng.choice(NO_DEPTHS + (0.5, 10.0), chosen.sum())      # both ends included
+    frame = frame_of(rng.choice(IDS + NO_IDS + (255,), (h, w)), depth)
+    settings = replace(Memory(), min_depth=0.5, max_depth=10.0, stride=stride,
+                       ignore_labels=ignored, dynamic_labels=dynamic)
+    assert counted(frame, settings) == expected(frame, settings)
+    # Placing pixels without their points is only a short cut.
+    frame = replace(frame, T_map_camera=pose(rng, 40.0))
+    for voxel_size, origin in ((0.5, (0.0, 0.0, 0.0)), (0.03, (7.0, -300.0, 0.1))):
+        keys, base = placed(frame, settings, voxel_size, origin)
+        those, its = place(points(frame, settings)[0], frame.T_map_camera, voxel_size, origin)
+        assert keys.tolist() == those.tolist() and base.tolist() == its.tolist()
+
+
+@given(seeds, st.integers(1, 6), st.integers(1, 6), st.integers(1, 5), st.integers(1, 5))
+@examples(max_examples=100)
+def test_labels_of_another_size(seed, h, w, wide, narrow):
+    rng = np.random.default_rng(seed)
+    frame = frame_of(rng.choice(IDS, (h * wide, w * wide)),
+                     rng.uniform(1, 2, (h * narrow, w * narrow)))
+    assert counted(frame, Memory()) == expected(frame, Memory())
+
+
+def test_a_point_may_be_placed_where_its_label_does_not_count():
+    xyz, labels = points(frame_of([[255, 7]], [[2.0, 2.0]]), Memory())
+    assert labels.tolist() == [-1, 7]
+    assert np.isfinite(xyz).all()
+
+
+def test_zero_is_no_measurement_even_where_the_range_starts_at_zero():
+    settings = replace(Memory(), min_depth=0.0)
+    xyz, _ = points(frame_of([[1, 1, 1]], [[0.0, -0.0, 1e-9]]), settings)
+    assert np.isfinite(xyz).all(axis=1).tolist() == [False, False, True]
+
+
+@pytest.mark.parametrize('labels, depth', [((4, 8), (4, 4)), ((480, 640), (640, 480)),
+                                           ((1080, 1920), (480, 640))])
+def test_another_aspect_ratio_is_refused(labels, depth):
+    frame = frame_of(np.zeros(labels), np.ones(depth))
+    with pytest.raises(PersemError, match=f'{labels[1]} x {labels[0]}.*{depth[1]} x {depth[0]}'):
+        points(frame, Memory())
+
+
+def test_an_aspect_ratio_that_differs_by_rounding_is_fine():
+    # Half of 1241 x 376, as a network that wants even sizes would give it.
+    frame = frame_of(np.full((188, 620), 4), np.ones((376, 1241)))
+    assert len(counted(frame, Memory())[1]) == 376 * 1241
+
+
+def test_the_same_with_another_number_of_threads_and_layout():
+    rng = np.random.default_rng(1)
+    frame = frame_of(rng.choice(IDS, (256, 300)), rng.uniform(-1, 9, (256, 300)))
+    turned = replace(frame, depth=np.asfortranarray(frame.depth),
+                     labels=np.asfortranarray(frame.labels))
+    frozen = replace(frame, depth=frame.depth.copy(), labels=frame.labels.copy())
+    frozen.depth.setflags(write=False)
+    frozen.labels.setflags(write=False)
+    before, results = jit.threads(), []
+    try:
+        for threads, given_ in [(1, frame), (2, frame), (3, turned), (2, frozen)]:
+            jit.set_threads(threads)
+            results.append(b''.join(a.tobytes() for a in points(given_, Memory())))
+    finally:
+        jit.set_threads(before)
+    assert len(set(results)) == 1
