@@ -8,7 +8,7 @@ from persem_ros.inputs.assemble import Assembler
 from persem_ros.inputs.decode import messages
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.sync.pairing import COLOR, DEPTH, KEEP, LABELS, Synchronizer, TRUTH
-from persem_ros.inputs.sync.poses import Lookup, NO_MOUNT
+from persem_ros.inputs.sync.poses import Lookup, NO_MOUNT, OTHER_FRAME
 
 ORDER = {TRUTH: 0, COLOR: 1, DEPTH: 2, LABELS: 3}   # at one stamp: whatever completes goes last
 INFO, POSE, TF = 'camera_info', 'pose', 'tf'
@@ -66,6 +66,8 @@ class Intake:
         Seconds that a match waits for its pose; None: sync.max_wait.
     keep : float
         Seconds that a depth image waits for its labels at least.
+    max_bytes : int
+        Bound of the images that a camera holds.
 
     Attributes
     ----------
@@ -76,23 +78,23 @@ class Intake:
 
     """
 
-    def __init__(self, config, decode, dropped, patient=False, pose_wait=None, keep=KEEP):
+    def __init__(self, config, decode, dropped, patient=False, pose_wait=None, keep=KEEP,
+                 max_bytes=QUEUE_BYTES):
         """Start without cameras."""
         self.config = config
         self.stations = []
         self.dropped = dropped
         self.examples = {}
         self._decode = decode
-        self._waits = patient, pose_wait, keep
+        self._waits = patient, pose_wait, keep, max_bytes
         self._ready = []        # matches of all cameras, a heap
         self._missed = {}       # reason -> what a lookup without a pose was for
 
     def add_camera(self, name, poses, companions=()):
         """Add a camera whose poses come from the PoseBuffer *poses*; return its Station."""
         assembler = Assembler(self.config.camera.rectified, name)
-        patient, pose_wait, keep = self._waits
         sync = Synchronizer(self.config.sync, partial(self._lookup, poses, assembler), companions,
-                            patient, pose_wait, keep, QUEUE_BYTES, self.dropped)
+                            *self._waits, self.dropped)
         self.stations.append(Station(sync, assembler, poses))
         return self.stations[-1]
 
@@ -123,11 +125,12 @@ class Intake:
         """Yield the frames that can leave at time *now*, over all cameras in stamp order."""
         for number, station in enumerate(self.stations):
             for match in station.sync.flush() if last else station.sync.advance(now):
+                match.ready = now
                 heapq.heappush(self._ready, (match.stamp, number, match))
         while self._ready and (last or self.may_leave(*self._ready[0], now)
                                or len(self._ready) > READY_MAX):
             stamp, number, match = heapq.heappop(self._ready)
-            frame = self._frame(self.stations[number], match)
+            frame = self._frame(self.stations[number], match) if self.wanted(match) else None
             self.left(self.stations[number], stamp)
             if frame is not None:
                 yield frame
@@ -135,6 +138,10 @@ class Intake:
     def may_leave(self, stamp, number, match, now):
         """Whether no camera can have an earlier match than this one of camera *number*."""
         raise NotImplementedError
+
+    def wanted(self, match):
+        """Whether a match that leaves is to become a frame."""
+        return True
 
     def left(self, station, stamp):
         """Take note that the match of *stamp* has left."""
@@ -196,6 +203,8 @@ class Intake:
         found = poses.lookup(match.stamp, frame_id)
         if found.reason == NO_MOUNT:
             self.no_mount(poses.mount_sentence(frame_id))
+        elif found.reason == OTHER_FRAME:
+            self.examples[OTHER_FRAME] = poses.other_frame_sentence()
         elif found.T is None:
             self._missed[found.reason] = poses, match.stamp, frame_id
         return found

@@ -1,14 +1,21 @@
 """Frames from messages as they arrive, in any order, also when time goes back."""
 
+from functools import partial
+import time
 from typing import NamedTuple
 
 from persem_ros.inputs.decode import messages
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.intake import Intake, POSE
-from persem_ros.inputs.sync.pairing import DEPTH, LABELS, WENT_BACK
+from persem_ros.inputs.sync.backlog import Backlog
+from persem_ros.inputs.sync.clocks import ANOTHER_CLOCK, Clocks
+from persem_ros.inputs.sync.pairing import DEPTH, KEEP, LABELS, NO_DEPTH, QUEUE_FULL, WENT_BACK
+from persem_ros.inputs.sync.partners import Partners
+from persem_ros.inputs.sync.poses import Lookup
 from persem_ros.inputs.sync.timeline import BACK, ODD, Timeline
 
 STALE = 'from before time went back'
+BEHIND = 'mapping is behind'
 TIMED = (LABELS, DEPTH, POSE)       # whose stamps tell what time it is
 
 
@@ -33,19 +40,47 @@ class LiveIntake(Intake):
         Where reasons are counted.
     on_jump : callable
         Called when time went back, after everything held was forgotten.
+    clock : callable
+        clock() gives the node's time, ns; stamps are compared with it, nothing waits for it.
+    steady : callable
+        steady() gives the ns of a clock that does not go back, that of take().
+
+    Attributes
+    ----------
+    jumps : int
+        How often time went back.
 
     """
 
-    def __init__(self, config, decode, dropped, on_jump):
+    def __init__(self, config, decode, dropped, on_jump, clock=time.time_ns,
+                 steady=time.monotonic_ns):
         """Start without cameras."""
         super().__init__(config, decode, dropped)
         self.jumps = 0
+        self._clock, self._steady = clock, steady
+        self._backlog = Backlog()
+        self._partners = {}     # station -> Partners
+        self._clocks = {}       # assembler -> Clocks
         self._on_jump = on_jump
         self.configure(config)
         self._heard = {}        # camera -> (largest stamp of a label image, when it came)
         self._timelines = {}    # (role, taker) -> Timeline
         self._odd = {}          # the same -> arguments of take(), to be taken or dropped
         self._jump = None
+
+    @property
+    def lateness(self):
+        """Return the ns that depth images take where that is seconds, 0 where it is not."""
+        return max((clocks.late for clocks in self._clocks.values()), default=0)
+
+    def add_camera(self, name, poses, companions=()):
+        """Add a camera, as in Intake."""
+        station = super().add_camera(name, poses, companions)
+        self._partners[station] = Partners(KEEP)
+        self._clocks[station.assembler] = Clocks(self.config.pose.max_ahead)
+        station.sync.on_drop = partial(self._explain_drop, station)
+        station.sync.configure(self.config.sync, self.config.sync.queue_bytes)
+        return station
 
     def take(self, role, taker, kind, now, data):
         """Take one message, as in Intake; notices when time goes back."""
@@ -88,14 +123,27 @@ class LiveIntake(Intake):
                 return False
         return True
 
+    def wanted(self, match):
+        """Whether a match is young enough to become a frame."""
+        now = self._steady()
+        if self._backlog.late(now - match.ready, now, round(self.config.sync.queue * 1e9)):
+            self.dropped[BEHIND] += 1
+            return False
+        return True
+
+    def few_depths(self):
+        """Return (depth images, label images) of a camera that gets too few depth images."""
+        return next((few for few in (p.lost() for p in self._partners.values()) if few), None)
+
     def configure(self, config):
         """Go on with other settings sync.* and pose.*."""
         self.config = config
         self._wait = round(config.sync.max_wait * 1e9)
         self._hold = round(config.sync.hold * 1e9)
         for station in self.stations:
-            station.sync.configure(config.sync)
+            station.sync.configure(config.sync, config.sync.queue_bytes)
             station.poses.configure(config.pose)
+            self._clocks[station.assembler].configure(config.pose.max_ahead)
 
     def clear(self):
         """Forget everything that was held and heard; static transforms and infos stay."""
@@ -103,6 +151,8 @@ class LiveIntake(Intake):
         self._heard.clear()
         self._timelines.clear()
         self._odd.clear()
+        for memory in (*self._partners.values(), *self._clocks.values()):
+            memory.clear()
         for buffer in {id(s.poses): s.poses for s in self.stations}.values():
             buffer.clear()
 
@@ -111,6 +161,12 @@ class LiveIntake(Intake):
             stamp, _ = messages.header(data)
             latest, _ = self._heard.get(id(taker), (stamp, 0))
             self._heard[id(taker)] = max(stamp, latest), now
+            self._partners[taker].labels(stamp)
+        elif role == DEPTH:
+            stamp, frame_id = messages.header(data)
+            self._partners[taker].depth(stamp, now)
+            came = self._clock() - (self._steady() - now)
+            self._clocks[taker.assembler].image(stamp, taker.poses.newest(frame_id), came, now)
         super().take(role, taker, kind, now, data)
 
     def _is_stale(self, key, stamp, now):
@@ -128,5 +184,36 @@ class LiveIntake(Intake):
         self.clear()
         self._on_jump()
 
+    def _lookup(self, poses, assembler, match):
+        """Return the pose of a match, as in Intake; none of another clock."""
+        clocks = self._clocks[assembler]
+        if clocks.ahead:
+            self.examples[ANOTHER_CLOCK] = clocks.sentence()
+            return Lookup(None, True, ANOTHER_CLOCK)
+        return super()._lookup(poses, assembler, match)
+
+    def _explain_drop(self, station, match, reason):
+        """Write to `examples` why a label image was dropped, where that takes a look around."""
+        partners, sync = self._partners[station], self.config.sync
+        if reason == NO_DEPTH:
+            self.examples[reason] = partners.explain(match.stamp, match.arrival, sync)
+        elif reason == QUEUE_FULL:
+            self.examples[reason] = full_sentence(sync)
+
+    def explain(self):
+        """Write to `examples` why frames and images were dropped."""
+        super().explain()
+        self.examples[f'{DEPTH}: {QUEUE_FULL}'] = full_sentence(self.config.sync)
+
+    def left(self, station, stamp):
+        """Take note that a match had all that it needs."""
+        self._partners[station].paired += 1
+
     def _drop_reason(self, role, reason):
         self.dropped[reason if role == LABELS else f'{role}: {reason}'] += 1
+
+
+def full_sentence(sync):
+    """Return what to do where images that wait for their partners fill the queue."""
+    return ('depth images wait for their labels and fill the queue; sync.queue_bytes is '
+            f'{sync.queue_bytes}: --set sync.queue_bytes={2 * sync.queue_bytes}')

@@ -255,7 +255,7 @@ def _profile(setting, depth):
     """Return the QoSProfile of a qos.* setting."""
     return QoSProfile(
         depth=depth,
-        reliability=ReliabilityPolicy.BEST_EFFORT if setting == 'best_effort'
+        reliability=ReliabilityPolicy.BEST_EFFORT if setting in ('auto', 'best_effort')
         else ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if setting == 'latched'
         else DurabilityPolicy.VOLATILE)

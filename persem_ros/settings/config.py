@@ -9,11 +9,12 @@ from persem_ros.errors import PersemError
 METHODS = ('majority', 'unweighted', 'recency', 'consensus', 'probabilistic',
            'trust', 'context', 'history', 'context_history', 'persem')
 IMAGE_METHODS = ('raw2d', 'ema2d')
-QOS = ('best_effort', 'reliable', 'latched')
+QOS = ('auto', 'best_effort', 'reliable', 'latched')
 ONE = {float: 'a number', int: 'a whole number', bool: 'true or false', str: 'text'}
 MANY = {float: 'numbers', int: 'whole numbers', str: 'texts'}
-_QOS = 'best_effort', ('best_effort matches every publisher; reliable: nothing is lost; latched: '
-                       'reliable, and the last message of before is asked for')
+_QOS = 'auto', ('auto: reliable while every publisher found offers it, else best_effort; '
+                'best_effort matches every publisher; reliable: nothing is lost; latched: '
+                'reliable, and the last message of before is asked for')
 
 
 def setting(default, text, unit='', low=None, high=None, choices=None, live=True):
@@ -132,6 +133,9 @@ class Pose:
         (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
         'camera in the child frame of the pose: x y z qx qy qz qw; all 0: from /tf_static',
         live=False)
+    max_ahead: float = setting(
+        1.5, 'poses that are farther ahead of a depth image when it arrives are of another clock: '
+        'refused (node); 0: never', 's', 0.0, 3600.0)
 
 
 @dataclass(frozen=True)
@@ -143,9 +147,11 @@ class Sync:
     hold: float = setting(
         0.2, 'how long a frame waits for earlier ones of other cameras (node)', 's', 0.0, 60.0)
     queue: float = setting(
-        2.0, 'images that wait for longer are dropped, the oldest first (node)', 's', 0.01, 3600.0)
+        2.0, 'images that wait for longer to be mapped are dropped, the oldest first (node)', 's',
+        0.01, 3600.0)
     queue_bytes: int = setting(
-        1 << 28, 'bound of the images that wait (node)', 'bytes', 1 << 16, 1 << 40)
+        1 << 30, 'bound of the images that wait, also for their partners (node)', 'bytes', 1 << 16,
+        1 << 40)
 
 
 @dataclass(frozen=True)

@@ -43,6 +43,7 @@ class Match:
     complete: int = None        # when the depth image was found
     size: int = 0
     missing: set = field(default_factory=set)
+    ready: int = None           # when nothing of it was missing any more
 
 
 @dataclass(order=True)
@@ -85,6 +86,11 @@ class Synchronizer:
         Where reasons are counted. A reason without a colon counts label images; others start
         with their kind ('depth: ').
 
+    Attributes
+    ----------
+    on_drop : callable
+        on_drop(match, reason) hears of each label image that is dropped after it has waited.
+
     """
 
     def __init__(self, sync, lookup=None, companions=(), patient=False, pose_wait=None,
@@ -97,10 +103,13 @@ class Synchronizer:
         self._partners = (DEPTH, *companions)
         self._patient = patient
         self._max_bytes = max_bytes
+        self.on_drop = lambda match, reason: None
         self.clear()
 
-    def configure(self, sync):
-        """Go on with another tolerance and longest wait (persem_ros.settings.config.Sync)."""
+    def configure(self, sync, max_bytes=None):
+        """Go on with other settings (persem_ros.settings.config.Sync) and bound in bytes."""
+        if max_bytes is not None:
+            self._max_bytes = max_bytes
         self._tolerance = round(sync.tolerance * 1e9)
         self._wait = round(sync.max_wait * 1e9)
         self._keep = max(self._wait, round(self._keep_for * 1e9))
@@ -250,8 +259,10 @@ class Synchronizer:
         return True
 
     def _drop_head(self, reason):
-        self.bytes -= self._matches.pop(0).size
+        match = self._matches.pop(0)
+        self.bytes -= match.size
         self.dropped[reason] += 1
+        self.on_drop(match, reason)
 
     def _prune(self, now):
         """Drop images that waited for long and that no label image held could take."""

@@ -12,6 +12,7 @@ from persem_ros.inputs.decode.messages import unit_quaternion
 NO_POSE = 'no pose'
 POSE_GAP = 'pose gap'
 NO_MOUNT = 'no transform from the pose to the camera'
+OTHER_FRAME = 'poses in another frame than the map'
 TRIM_EVERY = 256        # samples between two looks at the age of the oldest
 
 
@@ -44,13 +45,13 @@ class Track:
         self.stamps = []
         self.transforms = []
         self._keep = keep_ns
-        self._latest = None     # the stamp that arrived last, not the largest
+        self.latest = None      # the stamp that arrived last, not the largest
         self._added = 0
 
     def add(self, stamp, T):
         """Insert a sample; return False where that stamp is there already."""
         i = bisect_left(self.stamps, stamp)
-        self._latest = stamp
+        self.latest = stamp
         if i < len(self.stamps) and self.stamps[i] == stamp:
             return False
         self.stamps.insert(i, stamp)
@@ -75,7 +76,7 @@ class Track:
             return Lookup(self.transforms[i])
         if i == len(stamps):
             return Lookup(None, False, NO_POSE)
-        passed = self._latest > stamp       # samples arrive in order, so none will come between
+        passed = self.latest > stamp       # samples arrive in order, so none will come between
         if i == 0:
             return Lookup(None, passed, NO_POSE)
         if stamps[i] - stamps[i - 1] > max_gap:
@@ -94,12 +95,17 @@ class PoseBuffer:
         The settings frames.map and pose.*.
     keep : float
         Seconds of samples that are kept at least.
+    strict : bool
+        True: poses in another frame than frames.map, to which no chain leads, are refused (a
+        node, whose localisation may come later). False: that frame is taken for the map's, which
+        `notes` says.
 
     """
 
-    def __init__(self, config, keep=60.0):
+    def __init__(self, config, keep=60.0, strict=False):
         """Start empty."""
         self.notes = {}
+        self._strict = strict
         self._map = config.frames.map
         self.configure(config.pose)
         self._keep = round(keep * 1e9)
@@ -172,11 +178,23 @@ class PoseBuffer:
         found = self._poses.at(stamp, self._gap)
         if found.T is None:
             return found
-        mount = self._mount(self._poses.parent, self._child, frame)
+        above = self._above(self._poses.parent, stamp)
+        if above.T is None:
+            return above
+        mount = self._mount(self._child, frame)
         if mount is None:
             return Lookup(None, False, NO_MOUNT)
-        before, after = mount
-        return Lookup(before @ found.T @ after)
+        return Lookup(above.T @ found.T @ mount)
+
+    def newest(self, frame: str) -> int | None:
+        """Return the largest stamp that came last on the way to *frame*, ns; None: none."""
+        if self._settings.source == 'tf':
+            tracks = self._moving_between(self._map, frame)
+        else:
+            tracks = [self._poses] if self._poses else []
+            if self._poses and self._poses.parent not in ('', self._map):
+                tracks += self._moving_between(self._map, self._poses.parent)
+        return max((track.latest for track in tracks), default=None)
 
     def mount_sentence(self, frame):
         """Return the sentence that says what NO_MOUNT lacks for images in *frame*."""
@@ -186,44 +204,99 @@ class PoseBuffer:
                 '--set pose.extrinsic=[x,y,z,qx,qy,qz,qw], or --set '
                 f'pose.child_frame={frame} if the poses place the camera itself')
 
+    def other_frame_sentence(self) -> str:
+        """Return the sentence that says what OTHER_FRAME lacks."""
+        parent = self._poses.parent if self._poses else ''
+        return (f'the poses are in the frame {parent!r}, the map is in {self._map!r}, and '
+                f'/tf ({self._edges()}) does not connect them; start what publishes '
+                f'{self._map} -> {parent}, or map in that frame: --set frames.map={parent}')
+
     def explain(self, stamp, frame):
         """Return the sentence that says why *frame* has no pose at *stamp*."""
-        if self._settings.source == 'tf':
-            edges = sorted({f'{track.parent} -> {child}' for child, track in self._moving.items()}
-                           | {f'{up} -> {child}' for child, (up, _) in self._static.items()})
-            return (f'at {_seconds(stamp)} /tf gives no chain from {self._map!r} to {frame!r}: '
-                    f'{", ".join(edges) or "it is empty"}')
-        if self._span is None:
-            return 'the pose topic has no pose that can be used'
-        first, last = map(_seconds, self._span)
-        return (f'a frame is at {_seconds(stamp)}, the poses run from {first} to {last} and gaps '
-                f'beyond pose.max_gap ({self._settings.max_gap:g} s) are not bridged')
+        target = frame
+        if self._settings.source != 'tf':
+            if self._span is None:
+                return 'the pose topic has no pose that can be used'
+            if self._poses is None or self._poses.at(stamp, self._gap).T is None:
+                return self._explain_topic(stamp)
+            target = self._poses.parent
+        for track, link in self._links(self._map, target):
+            if track.at(stamp, self._gap).T is None:
+                return self._explain_link(stamp, track, link)
+        return (f'at {_seconds(stamp)} /tf gives no chain from {self._map!r} to {target!r}: '
+                f'{self._edges()}')
 
-    def _mount(self, parent, child, frame):
-        """Return (T_map_parent, T_child_camera), None where the second is not known."""
-        key = parent, child, frame
+    def _explain_topic(self, stamp):
+        """Return why the pose topic has nothing at *stamp*."""
+        first, last = self._span
+        text = (f'a frame is at {_seconds(stamp)}, the poses run from {_seconds(first)} to '
+                f'{_seconds(last)}')
+        if first <= stamp <= last:
+            return f'{text} and gaps beyond pose.max_gap ({self._settings.max_gap:g} s) are not ' \
+                   'bridged'
+        return f'{text}{_apart(stamp, first, last)}'
+
+    def _explain_link(self, stamp, track, link):
+        """Return why a moving link of /tf has nothing at *stamp*."""
+        first, last = track.stamps[0], track.stamps[-1]
+        if first <= stamp <= last:
+            i = bisect_left(track.stamps, stamp)
+            gap = (track.stamps[i] - track.stamps[i - 1]) / 1e9
+            return (f'at {_seconds(stamp)} the transform {link} of /tf has a gap of {gap:.2f} s; '
+                    f'pose.max_gap is {self._settings.max_gap:g} s: --set pose.max_gap='
+                    f'{1.2 * gap:.1f} bridges it')
+        return (f'a frame is at {_seconds(stamp)}, the transform {link} of /tf runs from '
+                f'{_seconds(first)} to {_seconds(last)}{_apart(stamp, first, last)}')
+
+    def _edges(self):
+        """Return all edges of /tf and /tf_static as text."""
+        edges = sorted({f'{track.parent} -> {child}' for child, track in self._moving.items()}
+                       | {f'{up} -> {child}' for child, (up, _) in self._static.items()})
+        return ', '.join(edges) or 'it is empty'
+
+    def _links(self, target, source):
+        """Return [(track, name)] of the moving links between two frames."""
+        up_source, up_target = self._path(source, 0), self._path(target, 0)
+        meet = next((frame for frame in up_source if frame in up_target), None)
+        if meet is None:
+            return []
+        frames = up_source[:up_source.index(meet)] + up_target[:up_target.index(meet)]
+        return [(self._moving[frame], f'{self._moving[frame].parent} -> {frame}')
+                for frame in frames if frame not in self._static]
+
+    def _moving_between(self, target, source):
+        return [track for track, _ in self._links(target, source)]
+
+    def _above(self, parent, stamp):
+        """Return the Lookup of T_map_parent, where *parent* is the frame of the pose topic."""
+        if parent in ('', self._map):
+            return Lookup(np.eye(4))
+        if set(self._path(parent, stamp)) & set(self._path(self._map, stamp)):
+            return self._chain(self._map, parent, stamp)
+        if self._strict:
+            return Lookup(None, False, OTHER_FRAME)
+        self.notes['map'] = (
+            f'the poses are in the frame {parent!r}, which is taken for the map frame '
+            f'{self._map!r}; --set frames.map={parent} says so')
+        return Lookup(np.eye(4))
+
+    def _mount(self, child, frame):
+        """Return T_child_camera, None where it is not known."""
+        key = child, frame
         if key not in self._mounts:
-            self._mounts[key] = self._mounted(parent, child, frame)
+            self._mounts[key] = self._mounted(child, frame)
         return self._mounts[key]
 
-    def _mounted(self, parent, child, frame):
-        before = self._chain(self._map, parent, None).T
-        if before is None:
-            before = np.eye(4)
-            if parent:
-                self.notes['map'] = (
-                    f'the poses are in the frame {parent!r}, which is taken for the map frame '
-                    f'{self._map!r}; --set frames.map={parent} says so')
+    def _mounted(self, child, frame):
         if child in ('', frame):
             if self._extrinsic is not None:
                 self.notes['extrinsic'] = (
                     'pose.extrinsic is not used: the poses name no frame but that of the camera; '
                     '--set pose.child_frame=base_link says that they place the body')
-            return before, np.eye(4)
-        after = self._extrinsic
-        if after is None:
-            after = self._chain(child, frame, None).T
-        return None if after is None else (before, after)
+            return np.eye(4)
+        if self._extrinsic is not None:
+            return self._extrinsic
+        return self._chain(child, frame, None).T
 
     def _chain(self, target, source, stamp):
         """
@@ -292,3 +365,13 @@ def _extrinsic(values):
 
 def _seconds(stamp):
     return f'{stamp // 10**9}.{stamp % 10**9:09d} s'
+
+
+def _apart(stamp, first, last):
+    """Return how far *stamp* lies outside of *first* to *last*, and what to do about it."""
+    if stamp > last:
+        return (f': the newest is {(stamp - last) / 1e9:.2f} s older than the image; do the '
+                'clocks differ (chrony, PTP, use_sim_time everywhere), or do poses come later '
+                'than sync.max_wait?')
+    return (f': the oldest is {(first - stamp) / 1e9:.2f} s newer than the image; do the clocks '
+            'differ (chrony, PTP, use_sim_time everywhere)?')
