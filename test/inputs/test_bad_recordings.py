@@ -1,5 +1,6 @@
 """Bad input: one clear line where nothing can be done, otherwise dropped and counted."""
 
+from bad_bags import IMAGE, sequence, spoiled, written
 import bags
 import numpy as np
 from persem_ros.errors import PersemError
@@ -8,8 +9,6 @@ from persem_ros.inputs.recording.recording import Recording
 from persem_ros.outputs.recording.writer import RecordingWriter
 from persem_ros.settings.config import Config, updated
 import pytest
-
-IMAGE = 'sensor_msgs/msg/Image'
 
 
 def read(path, values=None, **wanted):
@@ -24,30 +23,6 @@ def refused(path, values=None):
         read(path, values)
     assert '\n' not in str(caught.value)
     return str(caught.value)
-
-
-def written(path, change, frames=5, storage='mcap', poses=True):
-    """Write a recording whose messages change(kind, i, message) may alter, or drop by None."""
-    def put(out, topic, at, kind, i, message):
-        message = change(kind, i, message)
-        if message is not None:
-            out.message(topic, at, IMAGE if kind in ('labels', 'depth', 'truth')
-                        else 'sensor_msgs/msg/CameraInfo', message)
-
-    with RecordingWriter(path, storage=storage) as out:
-        for i in range(frames):
-            at = bags.stamp(i)
-            if poses:
-                out.pose('pose', at, 'map', bags.pose(i))
-            put(out, 'depth/camera_info', at, 'info', i,
-                out.make.camera_info(at, 'camera', 16, 12, bags.K))
-            put(out, 'depth/image', at, 'depth', i,
-                out.make.image(at, 'camera', bags.depth(i), '32FC1'))
-            put(out, 'semantic/image', at, 'labels', i,
-                out.make.image(at, 'camera', bags.labels(i), 'mono16'))
-            put(out, 'semantic/truth', at, 'truth', i,
-                out.make.image(at, 'camera', bags.labels(i), 'mono16'))
-    return path
 
 
 def test_what_is_no_recording(tmp_path):
@@ -187,16 +162,6 @@ def test_a_topic_that_is_used_is_not_offered_for_something_else(tmp_path):
 def test_a_topic_without_messages_is_refused(tmp_path):
     path = written(tmp_path / 'bag', lambda kind, i, msg: None if kind == 'depth' else msg)
     assert 'no depth images' in refused(path)
-
-
-def spoiled(**fields):
-    """Return a change that gives label and depth images other fields in frames 1 and 3."""
-    def change(kind, i, msg):
-        if (kind, i) in (('labels', 1), ('depth', 3)):
-            for name, value in fields.items():
-                setattr(msg, name, value(msg) if callable(value) else value)
-        return msg
-    return change
 
 
 @pytest.mark.parametrize('change, reason', [
@@ -343,23 +308,6 @@ def test_tf_that_does_not_reach_the_map(tmp_path):
         bags.stamp(0), 'odom', 'base_link', np.eye(4)))
     text = refused(path, {'pose.source': 'tf'})
     assert 'no pose (5)' in text and 'odom -> base_link' in text and "'map'" in text
-
-
-def sequence(path, stamps, poses=None):
-    """Write label and depth images with the given header stamps, recorded one after another."""
-    with RecordingWriter(path) as out:
-        for i, at in enumerate(stamps):
-            log = bags.stamp(i)
-            at = bags.stamp(at)
-            for topic, array, encoding in (('depth/image', bags.depth(i), '32FC1'),
-                                           ('semantic/image', bags.labels(i), 'mono16')):
-                out.message(topic, log, IMAGE, out.make.image(at, 'camera', array, encoding))
-            for shift in (-0.5, 0.5):
-                out.message('pose', log, *out.make.pose(
-                    at + round(shift * bags.STEP), 'map', bags.pose(i)))
-            out.message('depth/camera_info', log, 'sensor_msgs/msg/CameraInfo',
-                        out.make.camera_info(at, 'camera', 16, 12, bags.K))
-    return path
 
 
 def test_stamps_that_repeat(tmp_path):

@@ -205,7 +205,7 @@ def test_disk_full_leaves_the_old_file(path, memory):
 
 KILLER = """
 import os, random, signal, sys, time
-sys.path.insert(0, 'test')
+sys.path[:0] = ['test', 'test/outputs']
 import core_worlds as cw
 from persem_ros.settings.config import Config
 from persem_ros.core.memory.dump import dump

@@ -6,6 +6,7 @@ from pathlib import Path
 import subprocess
 import sys
 
+import bad_bags as bad
 import bags
 import numpy as np
 from persem_ros.cli import main
@@ -14,7 +15,6 @@ from persem_ros.outputs.results.rundir import FILES
 from persem_ros.replay import compile_kernels
 import pytest
 import replays
-import test_bad_recordings as bad
 import worlds
 
 ROOT = Path(__file__).resolve().parents[2]
