@@ -129,8 +129,8 @@ def test_odd_stamps_and_damage_are_shown(tmp_path, capsys):
             out.pose('pose', bags.stamp(i), 'map', bags.pose(i))
         out.message('pose', bags.stamp(3), *out.make.pose(bags.stamp(1), 'map', np.eye(4)))
     out = report(capsys, tmp_path / 'bag')[1]
-    assert row(out, '/depth/image')[-3:] == ['2', 'stamps', 'repeat']
-    assert '1 stamps go back, 2 stamps repeat' in out
+    assert row(out, '/depth/image')[-3:] == ['1', 'stamps', 'repeat']
+    assert '2 stamps go back, 1 stamps repeat' in out
     (tmp_path / 'bag' / 'metadata.yaml').unlink()
     file = tmp_path / 'bag' / 'bag.mcap'
     file.write_bytes(file.read_bytes()[:-2500])

@@ -1,22 +1,22 @@
-"""A rosbag2 recording as a stream of raw messages, whatever its storage, name or damage."""
+"""One input as a stream of raw messages: a recording or several, whatever their storage."""
 
+from collections import Counter
+from collections.abc import Collection, Iterator
 from contextlib import suppress
-from itertools import chain, islice
 from pathlib import Path
 from shlex import quote
-from typing import NamedTuple
+import sqlite3
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
 
 from persem_ros.errors import PersemError
 from persem_ros.inputs.decode.serialized import Decoder
-from persem_ros.inputs.recording import salvage
-from rosbags.interfaces import QosDurability
-from rosbags.rosbag2 import Reader
+from persem_ros.inputs.recording import finding, packing
+from persem_ros.inputs.recording.channels import Channel
+from persem_ros.inputs.recording.mcap_file import McapFile
+from persem_ros.inputs.recording.sqlite_file import SqliteFile
 
-IMAGES = ('.png', '.jpg', '.jpeg', '.tif', '.tiff', '.pgm', '.npy', '.exr')
-LOOKED_AT = 10_000      # files, to see whether there are images
-SUFFIXES = ('.mcap', '.db3')
-ZSTD = b'\x28\xb5\x2f\xfd'      # a message of a recording with message compression, whose
-#                               metadata.yaml (which would say so) was not given or is lost
+SHOWN = 4               # topics in a note
 
 
 class TopicInfo(NamedTuple):
@@ -25,28 +25,38 @@ class TopicInfo(NamedTuple):
     name: str
     msgtype: str        # 'sensor_msgs/msg/Image'
     count: int
-    latched: bool = False
+
+
+class Head(NamedTuple):
+    """What is known of a message that has not been read."""
+
+    topic: str
+    msgtype: str
+    time: int           # when it was recorded, nanoseconds
+    file: int           # with the place: where it is
+    place: int
+    start: bytes        # its first bytes, stamps.HEAD of them at least
 
 
 class Source:
     """
-    An open recording.
+    An open input.
 
     Parameters
     ----------
     path : str or Path
-        A rosbag2 folder, or a single .mcap or .db3 file.
+        As of finding.found; 'A+B' is one input in two recordings.
 
     Attributes
     ----------
     path : Path
         The same.
+    name : str
+        A short name for people.
     storage : str
-        'mcap' or 'sqlite3', with the kind of compression where it is known.
+        'mcap' or 'sqlite3', with the kind of compression where there is one.
     topics : list of TopicInfo
         By name.
-    notes : list of str
-        What was wrong with the recording and did not prevent its use.
 
     Raises
     ------
@@ -55,46 +65,64 @@ class Source:
 
     """
 
-    def __init__(self, path):
-        """Open the recording."""
+    def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self.notes = []
         self._decode = Decoder()
-        self._readers = self._opened()
-        found = {}
-        for reader in self._readers:
-            for c in reader.connections:
-                latched = any(qos.durability == QosDurability.TRANSIENT_LOCAL
-                              for qos in c.ext.offered_qos_profiles)
-                count = found[c.topic, c.msgtype].count if (c.topic, c.msgtype) in found else 0
-                found[c.topic, c.msgtype] = TopicInfo(c.topic, c.msgtype, count + c.msgcount,
-                                                      latched)
-        self.topics = sorted(found.values())
+        self._notes: list[str] = []
+        self._damage: list[str] = []
+        self._files: list[McapFile | SqliteFile] = []
+        self._unpacked: TemporaryDirectory[str] | None = None
+        self._packed: list[Path] = []
+        self._sizes = 0
+        recordings = [finding.found(part) for part in finding.split(path)]
+        self.name = '+'.join(found.path.stem if found.path.is_file() else
+                             found.path.resolve().name for found in recordings)
+        try:
+            for found in recordings:
+                self._open(found)
+            self.topics = self._topics()
+        except BaseException:
+            self.close()
+            raise
 
-    def __enter__(self):
-        """Return the open recording."""
+    def __enter__(self) -> 'Source':
+        """Return the open input."""
         return self
 
-    def __exit__(self, *_):
-        """Close the recording."""
+    def __exit__(self, *_: object) -> None:
+        """Close the input."""
         self.close()
 
-    def close(self):
+    def close(self) -> None:
         """Close the files."""
-        for reader in self._readers:
-            with suppress(Exception):   # nothing was written, so nothing can be lost
-                reader.close()
-        self._readers = []
+        self._damage = self._damaged()
+        for file in self._files:
+            with suppress(OSError, sqlite3.Error):  # nothing was written, nothing can be lost
+                file.close()
+        self._files = []
+        if self._unpacked is not None:
+            self._unpacked.cleanup()
+            self._unpacked = None
 
     @property
-    def size(self):
-        """Bytes on disk."""
-        files = [self.path] if self.path.is_file() else self._files()
-        return sum(file.stat().st_size for file in files)
+    def notes(self) -> list[str]:
+        """Return what was wrong with the recording and did not prevent its use: sentences."""
+        return list(dict.fromkeys(self._notes + self._damaged()))
 
-    def messages(self, names):
+    @property
+    def size(self) -> int:
+        """Bytes on disk."""
+        return self._sizes
+
+    @property
+    def storage(self) -> str:
+        """Return the kinds of files."""
+        kinds = {'mcap' if isinstance(file, McapFile) else 'sqlite3' for file in self._files}
+        return ' and '.join(sorted(kinds)) + (', compressed files' if self._packed else '')
+
+    def messages(self, names: Collection[str]) -> Iterator[tuple[str, str, int, bytes]]:
         """
-        Read messages in the order of the recording.
+        Read messages in the order of the files.
 
         Parameters
         ----------
@@ -113,103 +141,164 @@ class Source:
             The serialized message.
 
         """
-        for reader in self._readers:
-            chosen = [c for c in reader.connections if c.topic in names]
+        for head in self.heads(names):
+            data = self.read(head.file, head.place)
+            if data:
+                yield head.topic, head.msgtype, head.time, data
+
+    def heads(self, names: Collection[str]) -> Iterator[Head]:
+        """Walk over the messages of some topics without reading them, as messages() does."""
+        for k, file in enumerate(self._files):
+            chosen = {c.number: c for c in self._channels(file) if c.topic in names}
             if not chosen:
                 continue
-            try:
-                for connection, time, data in reader.messages(chosen):
-                    if data[:4] == ZSTD:
-                        data = salvage.DECOMPRESSORS['zstd'](data, 0)
-                    yield connection.topic, connection.msgtype, time, data
-            # Damaged bytes make the parsers below raise anything from KeyError to zstd's own.
-            except Exception as error:
-                self._note(f'{self.path.name} is damaged, what follows the damage was not read '
-                           f'({_line(error)})')
-            self._note_damage(reader)
+            for number, time, place, start in file.heads(chosen):
+                channel = chosen[number]
+                if start[:4] == packing.ZSTD:
+                    start = self.read(k, place)
+                yield Head(channel.topic, channel.msgtype, time, k, place, start)
 
-    def decode(self, data, typename):
+    def read(self, file: int, place: int) -> bytes:
+        """Return the message that a Head tells of, b'' where it cannot be read any more."""
+        data = self._files[file].read(place)
+        try:
+            return packing.message(data)
+        # Zstandard's own exception, and whatever else damaged bytes lead to.
+        except Exception:
+            return b''
+
+    def decode(self, data: bytes, typename: str) -> Any:
         """Deserialize a message; BadMessage where its bytes are damaged."""
         return self._decode(data, typename)
 
-    def _opened(self):
-        path = self.path
-        if not path.exists():
-            raise PersemError(f'{path} does not exist; expected a rosbag2 folder, .mcap or .db3 '
-                              'file')
-        if path.suffix == '.bag' and path.is_file():
-            raise PersemError(f"{path} is a ROS 1 recording, expected a rosbag2 one; 'rosbags-"
-                              f"convert --src {path} --dst {path.stem}' makes one")
-        whole = path / 'metadata.yaml'
-        if path.is_file() and path.suffix not in SUFFIXES or \
-                path.is_dir() and not whole.exists() and not self._files():
-            what = 'folder without metadata.yaml, .mcap or .db3 files' if path.is_dir() \
-                else f'file of type {path.suffix!r}'
-            raise PersemError(f'{path} is no recording: it is a {what}; expected a rosbag2 '
-                              f'folder, .mcap or .db3 file{_to_make_one(path)}')
+    def _damaged(self) -> list[str]:
+        """Return the notes about files that are damaged, as far as they have been read."""
+        return self._damage + [
+            f'{file.path.name} is {", ".join(file.damage)}: what is readable was used'
+            for file in self._files if file.damage]
+
+    @staticmethod
+    def _channels(file: McapFile | SqliteFile) -> list[Channel]:
+        """Return the channels of ROS 2 messages."""
+        return [c for c in file.channels if c.encoding == 'cdr' and c.schema != 'ros1msg']
+
+    def _topics(self) -> list[TopicInfo]:
+        counts: Counter[tuple[str, str]] = Counter()
+        for file in self._files:
+            for c in self._channels(file):
+                counts[c.topic, c.msgtype] += c.count
+        return sorted(TopicInfo(*names, count) for names, count in counts.items())
+
+    def _open(self, found: finding.Found) -> None:
+        """Open the files of one recording; compare them with its metadata.yaml."""
+        opened: list[McapFile | SqliteFile] = []
+        for path in found.files:
+            self._sizes += path.stat().st_size
+            file = self._file(path)
+            if file is not None:
+                opened.append(file)
+                self._files.append(file)
+        if not opened:
+            why = self._notes[-1] if self._notes else 'no file'
+            raise PersemError(f'{found.path} cannot be read as a recording ({why}); '
+                              f'{finding.WANTED}')
+        self._notes += found.notes
+        self._check_encodings(found.path, opened)
+        self._compare(found, opened)
+
+    def _file(self, path: Path) -> McapFile | SqliteFile | None:
+        """Open one storage file, None where nothing in it can be read."""
+        name = path.name
+        with path.open('rb') as stream:
+            head = stream.read(8)
+        if head[:4] == packing.ZSTD:
+            unpacked = self._unpack(path)
+            if unpacked is None:
+                return None
+            path = unpacked
+            with path.open('rb') as stream:
+                head = stream.read(8)
         try:
-            reader = Reader(path)
-            reader.open()
-        # As in messages(): whatever a damaged file makes the parsers raise.
-        except Exception as error:
-            return self._salvaged(error)
-        self.storage = _storage(self._files())
-        if reader.compression_mode:
-            self.storage += f', {reader.compression_mode} compression {reader.compression_format}'
-        return [reader]
+            file = McapFile(path) if head == finding.MCAP else SqliteFile(path)
+        except (OSError, ValueError, sqlite3.Error) as error:
+            why = 'is empty' if not head else f'cannot be read ({_line(error)})'
+            self._notes.append(f'{name} {why}')
+            return None
+        if not any(channel.count for channel in file.channels):
+            file.close()
+            self._notes.append(f'{name} holds no messages that can be read')
+            return None
+        if isinstance(file, SqliteFile) and file.journal:
+            self._notes.append(f'{name}-wal holds {file.journal} messages that {name} does not '
+                               'have yet (the recorder was interrupted?): they were read too')
+        return file
 
-    def _salvaged(self, error):
-        """Open the files one by one, each as far as it can be read."""
-        readers = []
-        for file in self._files():
-            reader = salvage.opened(file)
-            if reader is None:
-                self._note(f'{file.name} cannot be read')
-                continue
-            self._note_damage(reader)
-            readers.append(reader)
-        if not readers:
-            raise PersemError(f'{self.path} cannot be read as a recording ({_line(error)}); '
-                              'expected a rosbag2 folder, .mcap or .db3 file')
-        if self.path.is_dir() and not (self.path / 'metadata.yaml').exists():
-            self._note(f'{self.path.name} has no metadata.yaml (the recorder was interrupted?): '
-                       'its files were read without')
-        self.storage = _storage(self._files())
-        return readers
+    def _unpack(self, path: Path) -> Path | None:
+        """Decompress a file into a folder that close() removes."""
+        if self._unpacked is None:
+            self._unpacked = TemporaryDirectory(prefix='persem-')
+        self._packed.append(path)
+        plain = path.with_suffix('') if path.suffix in packing.SUFFIXES else path
+        target = Path(self._unpacked.name) / f'{len(self._packed)}' / plain.name
+        target.parent.mkdir()
+        try:
+            packing.unpack_file(path, target)
+        except PersemError:
+            raise
+        except Exception as error:      # Zstandard's own
+            self._damage.append(f'{path.name} is cut off or damaged ({_line(error)}): what is '
+                                'readable was used')
+        return target if target.exists() and target.stat().st_size else None
 
-    def _files(self):
-        """Return the storage files in order: name_2 before name_10."""
-        if self.path.is_file():
-            return [self.path]
-        files = [f for f in self.path.iterdir()
-                 if f.suffix in SUFFIXES or f.suffixes[-2:-1] and f.suffixes[-2] in SUFFIXES]
-        return sorted(files, key=lambda f: (len(f.name), f.name))
+    def _check_encodings(self, path: Path, opened: list[McapFile | SqliteFile]) -> None:
+        """Refuse recordings of other systems; name topics that cannot be read among others."""
+        strange = [c for file in opened for c in file.channels
+                   if c not in self._channels(file)]
+        if not strange:
+            return
+        forms = sorted({'ros1' if c.schema == 'ros1msg' else c.encoding for c in strange})
+        topics = sorted({c.topic for c in strange})
+        shown = ', '.join(topics[:SHOWN]) + (', …' if len(topics) > SHOWN else '')
+        if any(self._channels(file) for file in opened):
+            self._notes.append(f'{shown}: messages in {" and ".join(forms)} cannot be read and '
+                               'were left out; expected ROS 2 messages (cdr)')
+        elif forms == ['ros1']:
+            raise PersemError(
+                f'{path} holds ROS 1 messages ({shown}), expected ROS 2 ones; '
+                f"'rosbags-convert --src NAME.bag --dst {quote(path.stem)}' makes a recording of "
+                'the .bag that it came from')
+        else:
+            raise PersemError(
+                f'{path} holds messages in {" and ".join(forms)} ({shown}), expected ROS 2 '
+                'messages (cdr), as ros2 bag record writes them; images, depth and poses that '
+                "lie in folders become a recording by 'persem convert frames FOLDER OUT'")
 
-    def _note_damage(self, reader):
-        damage = getattr(reader, 'damage', '')
-        if damage:
-            self._note(f'{reader.path.name} is {damage}: what is readable was used')
+    def _compare(self, found: finding.Found, opened: list[McapFile | SqliteFile]) -> None:
+        """Note what metadata.yaml promises and the files do not hold."""
+        if found.missing:
+            lost = sum(found.metadata.by_file.get(name, 0) for name in found.missing) \
+                if found.metadata else 0
+            few = ', '.join(found.missing[:SHOWN]) + (', …' if len(found.missing) > SHOWN else '')
+            self._notes.append(
+                f'{found.path.name}: {few}, listed in metadata.yaml, '
+                f'{"is" if len(found.missing) == 1 else "are"} missing'
+                f'{f" ({lost} messages)" if lost else ""}: copy it there for the whole recording')
+        if found.metadata is None:
+            return
+        there: Counter[str] = Counter()
+        for file in opened:
+            for channel in file.channels:
+                there[channel.topic] += channel.count
+        differ = [f'{topic} {there[topic]} of {count}'
+                  for topic, count in sorted(found.metadata.counts.items())
+                  if there[topic] != count]
+        if differ:
+            shown = ', '.join(differ[:SHOWN]) + (
+                f' and {len(differ) - SHOWN} more topics' if len(differ) > SHOWN else '')
+            self._notes.append(f'{found.path.name}: messages found, of those that metadata.yaml '
+                               f'counts: {shown}')
 
-    def _note(self, text):
-        if text not in self.notes:
-            self.notes.append(text)
 
-
-def _storage(files):
-    return 'mcap' if any('.mcap' in file.name for file in files) else 'sqlite3'
-
-
-def _to_make_one(path):
-    """Return what to type where a folder, or one in it, holds images; '' where none does."""
-    if not path.is_dir():
-        return ''
-    with suppress(OSError):
-        files = chain(path.iterdir(), path.glob('*/*'), path.glob('*/*/*'))
-        if any(file.suffix.lower() in IMAGES for file in islice(files, LOOKED_AT)):
-            return f'; to make one of its images: persem convert frames {quote(str(path))} OUT'
-    return ''
-
-
-def _line(error):
+def _line(error: Exception) -> str:
     """Return an exception as one line."""
     return ' '.join(str(error).split()) or type(error).__name__
