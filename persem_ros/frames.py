@@ -7,6 +7,7 @@ import numpy as np
 IGNORED = -1        # a pixel without a label, wherever labels are int32
 MAX_ID = 65534      # the largest class id
 UNKNOWN = 65535     # "no label" where labels are uint16
+ASPECT_TOLERANCE = 0.005    # sizes are whole pixels: 854 x 480 is 1920 x 1080
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +49,12 @@ def pinhole(width, height, fx, fy, cx, cy, frame_id=''):
     rays[..., 0] = ((np.arange(width) - cx) / fx)[None, :]
     rays[..., 1] = ((np.arange(height) - cy) / fy)[:, None]
     return Camera(rays, np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), frame_id)
+
+
+def same_aspect(size: tuple[float, float], other: tuple[float, float]) -> bool:
+    """Return whether two sizes (width, height) have one aspect ratio, but for rounding."""
+    (w, h), (w2, h2) = size, other
+    return abs(w * h2 - w2 * h) <= max(ASPECT_TOLERANCE * w * h2, 0.5 * max(w, h, w2, h2))
 
 
 @dataclass(frozen=True, eq=False)

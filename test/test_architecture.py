@@ -33,7 +33,7 @@ MAY_IMPORT = {
     'ahead': set(),
     'rendering': LIBRARIES,
     'replay': LIBRARIES | {'ahead', 'rendering'},
-    'convert': NOUNS | {'core.transforms', 'inputs', 'outputs'},
+    'convert': NOUNS | {'core.agreement', 'core.transforms', 'inputs', 'outputs'},
     'simulate': NOUNS | {'core.jit', 'core.transforms', 'inputs', 'outputs'},
     'evaluate': LIBRARIES | {'ahead', 'convert'},
     'evaluate.measure': LIBRARIES,

@@ -4,6 +4,7 @@ from itertools import product
 import logging
 
 import numpy as np
+from persem_ros.core.agreement import pairs_to_check, reprojection_error, WORST
 from persem_ros.core.transforms import inverse
 
 LOG = logging.getLogger(__name__)
@@ -19,8 +20,6 @@ WORLD_AXES = {
     'ned': np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]]),      # z down: to east, north, up
     'opencv': np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),   # y down: to right, forward, up
 }
-WORST = 0.1         # relative depth error at which a pixel counts as a miss
-PIXELS = 5000       # looked at per pair
 
 
 def optical_pose(T, direction='camera-to-world', axes='opencv', world='enu'):
@@ -46,68 +45,6 @@ def optical_pose(T, direction='camera-to-world', axes='opencv', world='enu'):
     T[:3, :3] = T[:3, :3] @ CAMERA_AXES[axes]
     T[:3] = WORLD_AXES[world] @ T[:3]
     return T
-
-
-def pairs_to_check(count, anchors=8, steps=(1, 3, 8)):
-    """Return index pairs, spread over *count* frames, near enough to overlap."""
-    starts = np.unique(np.linspace(0, max(count - 2, 0), anchors).astype(int))
-    return [(int(i), int(i) + step) for i in starts for step in steps if i + step < count]
-
-
-def reprojection_error(depth_i, depth_j, T_j_i, K):
-    """
-    Return how badly the depth of frame i, seen from frame j, agrees with that of frame j.
-
-    Parameters as of misses().
-
-    Returns
-    -------
-    ndarray, shape (N,), float64
-        Relative depth error per pixel with a measurement, cut at WORST, which is also what
-        leaves the image; pixels that meet no measurement are left out.
-
-    """
-    error = misses(depth_i, depth_j, T_j_i, K)
-    return np.minimum(error[~np.isnan(error)], WORST)
-
-
-def misses(depth_i, depth_j, T_j_i, K):
-    """
-    Return the relative depth errors of frame i, seen from frame j.
-
-    Parameters
-    ----------
-    depth_i, depth_j : ndarray, shape (H, W), float64
-        Metres, 0 is no measurement.
-    T_j_i : ndarray, shape (4, 4)
-        Maps optical points of i to j.
-    K : ndarray, shape (3, 3)
-        Pinhole matrix of both.
-
-    Returns
-    -------
-    ndarray, shape (N,), float64
-        Of the pixels of i with a measurement, some PIXELS of them, which ones depends on
-        *depth_i* alone; infinite for what leaves the image, NaN for what meets no measurement.
-
-    """
-    height, width = depth_i.shape
-    stride = max(1, int(np.sqrt(depth_i.size / PIXELS)))
-    v, u = np.mgrid[:height:stride, :width:stride].reshape(2, -1)
-    d = depth_i[v, u]
-    u, v, d = u[d > 0], v[d > 0], d[d > 0]
-    x, y, z = T_j_i[:3, :3] @ (np.linalg.inv(K) @ (np.stack([u, v, np.ones(len(u))]) * d)) \
-        + T_j_i[:3, 3:]
-    ahead = z > 1e-6
-    with np.errstate(divide='ignore', invalid='ignore'):
-        u = np.where(ahead, K[0, 0] * x / z + K[0, 2], -1.0)
-        v = np.where(ahead, K[1, 1] * y / z + K[1, 2], -1.0)
-    seen = (u > -0.5) & (v > -0.5) & (u < width - 0.5) & (v < height - 0.5)
-    error = np.full(len(d), np.inf)
-    hit = depth_j[np.rint(v[seen]).astype(int), np.rint(u[seen]).astype(int)]
-    miss = np.abs(z[seen] - hit) / np.maximum(hit, 1e-6)
-    error[seen] = np.where(hit > 0, miss, np.nan)
-    return error
 
 
 def compare_conventions(depths, poses, K, axes_only=None):

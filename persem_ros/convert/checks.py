@@ -5,6 +5,7 @@ import logging
 import numpy as np
 from persem_ros.convert import axes
 from persem_ros.convert.units import check_unit
+from persem_ros.core.agreement import pairs_to_check
 
 LOG = logging.getLogger(__name__)
 LEVEL = 0.5         # of the cameras' up along z, below which the world is not z-up
@@ -30,7 +31,7 @@ def sampled(count, depth_of, pose_of):
         The poses of the same.
 
     """
-    need = sorted({i for pair in axes.pairs_to_check(count) for i in pair})
+    need = sorted({i for pair in pairs_to_check(count) for i in pair})
     poses = {i: pose_of(i) for i in need}
     poses = {i: pose for i, pose in poses.items() if pose is not None}
     depths = {i: depth_of(i).astype(np.float64) for i in poses}

@@ -204,9 +204,3 @@ def scaled_K(K, old, new):
         K[axis, 2] = scale * (K[axis, 2] + 0.5) - 0.5
         K[axis, :2] *= scale
     return K
-
-
-def same_aspect(a, b):
-    """Whether two sizes (width, height) have one aspect ratio, to a pixel of rounding."""
-    scale = max(b[0] / a[0], b[1] / a[1])
-    return abs(a[0] * scale - b[0]) <= 1 + scale and abs(a[1] * scale - b[1]) <= 1 + scale

@@ -3,11 +3,13 @@
 from collections import deque
 
 import numpy as np
-from persem_ros.frames import Frame
+from numpy.typing import NDArray
+from persem_ros.frames import Frame, same_aspect
 from persem_ros.inputs.decode import messages
-from persem_ros.inputs.decode.camera import camera, check, content, same_aspect
+from persem_ros.inputs.decode.camera import camera, check, content
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.sync.pairing import COLOR, DEPTH, LABELS, TRUTH
+from persem_ros.settings.config import Config
 
 CAMERAS_KEPT = 8        # a zoom lens must not fill the memory
 CHANGES_KEPT = 64
@@ -19,17 +21,19 @@ class Assembler:
 
     Parameters
     ----------
-    rectified : bool
-        The setting camera.rectified.
+    config : persem_ros.settings.config.Config, optional
+        The settings camera.* and depth.*.
     sensor : str
         The camera's name, '' where there is only one.
 
     """
 
-    def __init__(self, rectified=False, sensor=''):
+    def __init__(self, config: Config | None = None, sensor: str = '') -> None:
         """Start without a camera info."""
         self._infos = deque(maxlen=CHANGES_KEPT)    # (stamp, content, info) at each change
-        self._rectified = rectified
+        config = config or Config()
+        self._rectified = config.camera.rectified
+        self._depth = config.depth
         self._sensor = sensor
         self._cameras = {}
 
@@ -45,6 +49,10 @@ class Assembler:
             return
         check(info, self._rectified)
         self._infos.append((messages.stamp_ns(info), key, info))
+
+    def depth(self, msg) -> NDArray[np.float64]:
+        """Return the depth image of a message in metres (H, W), as depth.scale has it."""
+        return messages.depth(msg, self._depth.scale)
 
     def frame(self, match, decoded):
         """
@@ -72,15 +80,17 @@ class Assembler:
         """
         label_msg, depth_msg = decoded[LABELS], decoded[DEPTH]
         labels, encoding = _named(LABELS, messages.labels, label_msg)
-        depth = _named(DEPTH, messages.depth, depth_msg)
+        depth = _named(DEPTH, self.depth, depth_msg)
         if not same_aspect(labels.shape[::-1], depth.shape[::-1]):
             raise BadMessage('labels and depth differ in shape',
                              f'a label image has the size {labels.shape[1]} x {labels.shape[0]}, '
                              f'its depth image {depth.shape[1]} x {depth.shape[0]}, expected one '
                              'aspect ratio')
-        view, blind = self._camera(depth_msg, *depth.shape[::-1])
+        view, blind, lengths = self._camera(depth_msg, *depth.shape[::-1])
         if blind is not None:
             depth[blind] = np.nan
+        if lengths is not None:
+            depth /= lengths
         companions, faults = {}, []
         for kind, read in ((TRUTH, _truth_like(labels)), (COLOR, messages.color)):
             if kind in decoded:
@@ -92,7 +102,12 @@ class Assembler:
                      messages.frame_id(label_msg), encoding, **companions), faults
 
     def _camera(self, depth_msg, width, height):
-        """Return the Camera of a depth image and the mask of pixels that it cannot see."""
+        """
+        Return the Camera of a depth image, the mask of pixels that it cannot see, rays' lengths.
+
+        The lengths, of rays with z = 1, are None where depth is z already.
+
+        """
         if not self._infos:
             raise BadMessage('no camera info', 'no camera info came before the first frame')
         stamp = messages.stamp_ns(depth_msg)
@@ -106,7 +121,9 @@ class Assembler:
             view = camera(info, width, height, self._rectified, frame_id)
             blind = np.isnan(view.rays[..., 0])
             view.rays[blind] = 0.0
-            self._cameras[key] = view, blind if blind.any() else None
+            lengths = np.sqrt(1.0 + (view.rays ** 2).sum(-1)) if self._depth.kind == 'ray' \
+                else None
+            self._cameras[key] = view, blind if blind.any() else None, lengths
         return self._cameras[key]
 
 

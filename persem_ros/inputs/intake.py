@@ -92,7 +92,7 @@ class Intake:
 
     def add_camera(self, name, poses, companions=()):
         """Add a camera whose poses come from the PoseBuffer *poses*; return its Station."""
-        assembler = Assembler(self.config.camera.rectified, name)
+        assembler = Assembler(self.config, name)
         sync = Synchronizer(self.config.sync, partial(self._lookup, poses, assembler), companions,
                             *self._waits, self.dropped)
         self.stations.append(Station(sync, assembler, poses))

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass, field
 
+from persem_ros.frames import same_aspect
 from persem_ros.inputs.assemble import Assembler
 from persem_ros.inputs.decode import messages
-from persem_ros.inputs.decode.camera import same_aspect
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.recording import latched
 from persem_ros.inputs.recording.topics import (
@@ -170,7 +170,7 @@ def _unusable(chosen, samples, config):
     """Return what is wrong with the first messages of the images and camera infos."""
     found, sizes = [], {}
     for kind, read in (('labels', lambda msg: messages.labels(msg)[0]), ('depth', messages.depth),
-                       ('camera_info', Assembler(config.camera.rectified).add_info)):
+                       ('camera_info', Assembler(config).add_info)):
         if kind not in chosen:
             continue
         if kind not in samples:

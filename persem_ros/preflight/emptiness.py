@@ -6,6 +6,7 @@ import math
 import numpy as np
 
 from persem_ros.core.frame.images import counted, resampled
+from persem_ros.preflight.depth_fit import likely_unit
 
 SHOWN = 8       # ids in a sentence
 
@@ -73,7 +74,10 @@ class Emptiness:
                 'away)')
 
     def _other_range(self):
-        """Return the option with which the depths would be in range."""
+        """Return the options with which the depths would be in range."""
+        unit = likely_unit(self._low, self._high, self._settings)
+        if unit:
+            return f'; {unit} reads them so'
         if not self._near:
             return f', or --set memory.max_depth={_up(self._high)}'
         if self._high < self._settings.min_depth:

@@ -167,6 +167,19 @@ class Topics:
 
 
 @dataclass(frozen=True)
+class Depth:
+    """How the numbers of a depth image become metres along the optical axis."""
+
+    scale: float = setting(
+        0.0, 'metres per unit of the depth images, 0.001 for millimetres; 0: by encoding (16UC1 '
+        'and mono16: millimetres, 32FC1 and 64FC1: metres)', 'm', 0.0, 1e3, live=False)
+    kind: str = setting(
+        'z', 'what is measured: z, along the optical axis, or ray, the radial distance from the '
+        'camera (AirSim DepthPerspective, Isaac Sim distance_to_camera, Hypersim)',
+        choices=('z', 'ray'), live=False)
+
+
+@dataclass(frozen=True)
 class Qos:
     """Quality of service of the subscriptions (node)."""
 
@@ -235,6 +248,7 @@ class Config:
     pose: Pose = Pose()
     sync: Sync = Sync()
     topics: Topics = Topics()
+    depth: Depth = Depth()
     qos: Qos = Qos()
     map: Map = Map()    # noqa: A003
     ema: Ema = Ema()

@@ -6,7 +6,7 @@ import re
 
 import cv2
 import numpy as np
-from persem_ros.convert import axes, stamps, units
+from persem_ros.convert import stamps, units
 from persem_ros.convert.checks import check_up
 from persem_ros.convert.files import files_of
 from persem_ros.convert.frames.convert import convert_frames
@@ -14,6 +14,7 @@ from persem_ros.convert.frames.layout import FramesOptions
 from persem_ros.convert.images import nearest, parse_unit, read_depth, scaled_K
 from persem_ros.convert.intrinsics import read_intrinsics
 from persem_ros.convert.poses import pose_of_numbers, poses_from_trajectory
+from persem_ros.core import agreement
 from persem_ros.core.transforms import (
     inverse, matrix_to_quaternion, quaternion_to_matrix, transform)
 from persem_ros.errors import PersemError
@@ -369,13 +370,13 @@ def test_reprojection_error_by_hand():
     far, near = np.full((5, 5), 2.0), np.full((5, 5), 1.5)
     pinhole = np.array([[5.0, 0, 2], [0, 5, 2], [0, 0, 1]])
     step = transform([0, 0, -0.5], [0, 0, 0, 1])
-    error = axes.reprojection_error(far, near, step, pinhole)
+    error = agreement.reprojection_error(far, near, step, pinhole)
     # Corners move from 2 to 2.67 pixels off the centre: still the outermost pixel is 2.5 away.
     inside = np.count_nonzero(error < 1e-12)
-    assert inside == 9 and np.all(error[error > 1e-12] == axes.WORST)
-    close = axes.reprojection_error(far, near * 1.02, step, pinhole)
+    assert inside == 9 and np.all(error[error > 1e-12] == agreement.WORST)
+    close = agreement.reprojection_error(far, near * 1.02, step, pinhole)
     assert np.allclose(np.sort(close)[:9], 0.02 / 1.02)
-    assert axes.reprojection_error(far, np.zeros((5, 5)), np.eye(4), pinhole).size == 0
+    assert agreement.reprojection_error(far, np.zeros((5, 5)), np.eye(4), pinhole).size == 0
 
 
 @pytest.mark.parametrize('unit, factor', [('mm', 1000), ('cm', 100), ('5000', 5000), ('m', 1)])

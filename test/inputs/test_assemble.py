@@ -6,6 +6,7 @@ from persem_ros.inputs.assemble import Assembler, resampled
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.sync.pairing import COLOR, DEPTH, LABELS, Match, TRUTH
 from persem_ros.outputs.recording.messages import MessageFactory
+from persem_ros.settings.config import Config, updated
 import pytest
 from rosbags.typesys import get_typestore, Stores
 
@@ -66,6 +67,17 @@ def test_the_info_in_force_at_the_stamp_is_used():
                                             bags.K * [[factor], [factor], [1]]))
     found, _ = assembler.frame(Match(AT, {}), messages)
     assert found.camera.K[0, 0] == 40.0
+
+
+def test_depth_along_the_ray_becomes_z_and_other_units_metres():
+    messages, info = parts()
+    settings = {'depth.kind': 'ray', 'depth.scale': 0.5}
+    assembler = Assembler(updated(Config(), settings))
+    assembler.add_info(info)
+    found, _ = assembler.frame(Match(AT, {}), messages)
+    points = np.dstack([found.camera.rays, np.ones((12, 16))]) * found.depth[..., None]
+    np.testing.assert_allclose(np.linalg.norm(points, axis=2),
+                               bags.depth(3).astype(float) / 2, rtol=1e-12)
 
 
 def test_resampling_takes_the_pixel_below_the_centre():

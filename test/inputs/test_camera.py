@@ -3,8 +3,8 @@
 import bags
 import cv2
 import numpy as np
-from persem_ros.frames import pinhole
-from persem_ros.inputs.decode.camera import camera, check, content, same_aspect
+from persem_ros.frames import pinhole, same_aspect
+from persem_ros.inputs.decode.camera import camera, check, content
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.outputs.recording.messages import MessageFactory
 import pytest
@@ -147,6 +147,7 @@ def test_an_unknown_model_without_distortion_is_a_pinhole():
 
 def test_sizes_are_rounded_but_ratios_are_not():
     assert same_aspect((1920, 1080), (854, 480)) and same_aspect((640, 480), (20, 15))
+    assert same_aspect((1296, 968), (640, 480)) and same_aspect((16, 12), (5, 4))
     assert not same_aspect((640, 480), (640, 360)) and not same_aspect((4, 3), (5, 3))
 
 

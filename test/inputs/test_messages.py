@@ -80,6 +80,23 @@ def test_depth_in_millimetres_and_metres(form, order):
     np.testing.assert_array_equal(found, metres.astype(np.float64))
 
 
+@pytest.mark.parametrize('encoding, dtype, stored, scale, metres', [
+    ('mono16', '<u2', 1999, 0.0, 1.999), ('mono16', '>u2', 1999, 0.0, 1.999),
+    ('64FC1', '<f8', 1.1, 0.0, 1.1), ('64FC1', '>f8', 1.1, 0.0, 1.1),
+    ('16UC1', '<u2', 1999, 0.001, 1.999), ('16UC1', '<u2', 40001, 0.00025, 10.00025),
+    ('32FC1', '<f4', 1500.0, 0.001, 1.5), ('16UC1', '<u2', 7, 1.0, 7.0)])
+def test_depth_of_other_encodings_and_units(form, encoding, dtype, stored, scale, metres):
+    values = np.array([[stored, 0]], dtype)
+    found = messages.depth(form(raw(values, 1, 2, encoding, big='>' in dtype)), scale)
+    assert found.dtype == np.float64 and found.tolist() == [[metres, 0.0]]
+
+
+@pytest.mark.parametrize('form_text', ['mono16; png compressed', '16UC1; png', 'png'])
+def test_depth_in_a_plain_png(form_text):
+    found = messages.depth(packed(form_text, png(np.array([[0, 1500]], np.uint16))), 0.01)
+    np.testing.assert_array_equal(found, [[0.0, 15.0]])
+
+
 @pytest.mark.parametrize('encoding, pixel', [
     ('rgb8', [1, 2, 3]), ('bgr8', [3, 2, 1]), ('rgba8', [1, 2, 3, 9]), ('bgra8', [3, 2, 1, 9])])
 def test_colors_are_rgb(form, encoding, pixel):
@@ -92,7 +109,7 @@ def test_colors_are_rgb(form, encoding, pixel):
     (messages.labels, raw(np.zeros(12, 'u1'), 2, 2, 'rgb8'), "encoding 'rgb8'"),
     (messages.labels, raw(np.zeros(4, 'f4'), 2, 2, '32FC1'), "encoding '32FC1'"),
     (messages.labels, raw(np.zeros(4, 'u1'), 2, 2, ''), "encoding ''"),
-    (messages.depth, raw(np.zeros(4, 'u2'), 2, 2, 'mono16'), "encoding 'mono16'"),
+    (messages.depth, raw(np.zeros(4, 'u1'), 2, 2, 'mono8'), "encoding 'mono8'"),
     (messages.color, raw(np.zeros(4, 'u1'), 2, 2, 'bayer_rggb8'), "encoding 'bayer_rggb8'"),
     (messages.labels, raw(np.zeros(7, 'u1'), 2, 4, 'mono8', step=4), 'data too short'),
     (messages.labels, raw(np.zeros(0, 'u1'), 2, 4, 'mono8', step=4), 'data too short'),

@@ -200,7 +200,8 @@ def scaled_depth(factor):
 
 EMPTY = {
     'millimetres': (scaled_depth(1000), [], ['2000 to 2040 m', 'memory.max_depth 200 m',
-                                             'unit', '--set memory.max_depth=2100']),
+                                             'unit', '--set depth.scale=0.001']),
+    'far': (scaled_depth(150.3), [], ['300.6 to 306.6 m', '--set memory.max_depth=310']),
     'kilometres': (scaled_depth(0.001), [], ['0.002 to 0.00204 m', '--set memory.min_depth=0.00']),
     'near and far': (unchanged, ['--set=memory.min_depth=2.5', '--set=memory.max_depth=3'],
                      ['2 to 2.04 m', 'memory.min_depth 2.5 m', '--set memory.min_depth=2']),

@@ -17,12 +17,13 @@ from persem_ros.convert.forest import poses as forest_poses
 from persem_ros.convert.forest.colors import ids_of_colors
 from persem_ros.convert.forest.layout import find, find_poses, folder_of, ForestOptions, partners
 from persem_ros.convert.images import (
-    metres, nearest, parse_unit, read_array, read_color, read_depth, read_labels, same_aspect,
-    scaled_K, units_per_metre)
+    metres, nearest, parse_unit, read_array, read_color, read_depth, read_labels, scaled_K,
+    units_per_metre)
 from persem_ros.convert.intrinsics import is_numbers, read_intrinsics
 from persem_ros.convert.scene import check_scale, chosen, report_dropped, write_scene
 from persem_ros.convert.stamps import stamps_from_names, stamps_from_rate
 from persem_ros.errors import PersemError
+from persem_ros.frames import same_aspect
 from persem_ros.outputs.recording.writer import RecordingWriter
 
 LOG = logging.getLogger(__name__)

@@ -8,12 +8,12 @@ from persem_ros.convert.frames.layout import (
     find_frames, FramesOptions, intrinsics_source, layout_unit,
 )
 from persem_ros.convert.images import (
-    metres, parse_unit, read_color, read_depth, read_labels, same_aspect, scaled_K,
-    units_per_metre,
+    metres, parse_unit, read_color, read_depth, read_labels, scaled_K, units_per_metre,
 )
 from persem_ros.convert.intrinsics import read_intrinsics
 from persem_ros.convert.scene import write_scene
 from persem_ros.errors import PersemError
+from persem_ros.frames import same_aspect
 from persem_ros.outputs.recording.writer import RecordingWriter
 
 

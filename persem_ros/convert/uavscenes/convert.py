@@ -7,13 +7,14 @@ import numpy as np
 from persem_ros.convert.checks import sampled
 from persem_ros.convert.files import some
 from persem_ros.convert.images import (
-    metres, nearest, read_color, read_labels, same_aspect, scaled_K)
+    metres, nearest, read_color, read_labels, scaled_K)
 from persem_ros.convert.scene import check_scale, chosen, report_dropped, write_scene
 from persem_ros.convert.uavscenes import calibration
 from persem_ros.convert.uavscenes.depth import FolderDepth, LidarDepth
 from persem_ros.convert.uavscenes.layout import find_calibration, find_run, folder_of, images
 from persem_ros.convert.units import check_unit
 from persem_ros.errors import PersemError
+from persem_ros.frames import same_aspect
 from persem_ros.outputs.recording.writer import RecordingWriter
 
 LOG = logging.getLogger(__name__)

@@ -4,10 +4,11 @@ from collections import OrderedDict
 
 import numpy as np
 from persem_ros.convert.images import (
-    nearest, parse_unit, read_array, read_depth, same_aspect, units_per_metre)
+    nearest, parse_unit, read_array, read_depth, units_per_metre)
 from persem_ros.convert.uavscenes import lidar
 from persem_ros.convert.uavscenes.layout import folder_of, images
 from persem_ros.errors import PersemError
+from persem_ros.frames import same_aspect
 
 
 class FolderDepth:

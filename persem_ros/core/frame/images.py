@@ -5,7 +5,7 @@ from persem_ros.core.frame.observe import key_of, placing
 from persem_ros.core.frame.render import nearest
 from persem_ros.core.jit import kernel, split
 from persem_ros.errors import PersemError
-from persem_ros.frames import IGNORED, MAX_ID
+from persem_ros.frames import IGNORED, MAX_ID, same_aspect
 
 
 def points(frame, settings):
@@ -80,7 +80,7 @@ def resampled(labels, shape):
 def check_aspect(labels, depth):
     """Refuse label and depth images whose shapes (rows, columns) are not proportional."""
     (H, W), (h, w) = labels, depth
-    if abs(H * w - h * W) > max(H, W, h, w):
+    if not same_aspect((W, H), (w, h)):
         raise PersemError(
             f'label image {W} x {H} and depth image {w} x {h} differ in shape: expected one '
             'aspect ratio (crop or register one of them)')

@@ -5,10 +5,11 @@ from pathlib import Path
 
 import numpy as np
 from persem_ros.convert.files import files_of
-from persem_ros.convert.images import nearest as nearest_pixels, read_labels, same_aspect
+from persem_ros.convert.images import nearest as nearest_pixels, read_labels
 from persem_ros.convert.stamps import stamp_of_name, stamps_from_names
 from persem_ros.core.transforms import transform
 from persem_ros.errors import PersemError
+from persem_ros.frames import same_aspect
 from persem_ros.settings.config import nearest
 
 ORDERS = ('recorded', 'reversed', 'shuffled')

@@ -3,11 +3,10 @@
 import cv2
 import numpy as np
 
-from persem_ros.frames import Camera, pinhole
+from persem_ros.frames import Camera, pinhole, same_aspect
 from persem_ros.inputs.decode.messages import BadMessage
 
 MODELS = ('plumb_bob', 'rational_polynomial', 'equidistant')
-ASPECT_TOLERANCE = 0.005    # sizes are whole pixels: 854 x 480 is 1920 x 1080
 LENGTHS = (4, 5, 8, 12, 14)     # of OpenCV's distortion vectors
 MAX_ERROR = 0.1             # pixels between a ray projected again and its pixel
 CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
@@ -62,12 +61,6 @@ def content(info):
     return (info.width, info.height, info.distortion_model, tuple(info.d), tuple(info.k),
             tuple(info.p), info.binning_x, info.binning_y,
             roi.x_offset, roi.y_offset, roi.width, roi.height, info.header.frame_id)
-
-
-def same_aspect(size, other):
-    """Return whether two sizes (width, height) have one aspect ratio, but for rounding."""
-    (w, h), (w2, h2) = size, other
-    return abs(w * h2 - w2 * h) <= ASPECT_TOLERANCE * w * h2
 
 
 def _matrix(info, rectified):

@@ -13,7 +13,10 @@ import numpy as np
 from persem_ros.core.jit import cached
 
 HEADER = 12         # compressedDepth: int32 format, float32 A, float32 B
-PLAIN = ('png', '16uc1; png', '16uc1; png compressed')     # depth without that header
+INTEGERS = ('16UC1', 'mono16')
+# Depth without that header.
+PLAIN = ('png', *(f'{name.lower()}; {how}' for name in INTEGERS
+                  for how in ('png', 'png compressed')))
 SIZE = 8            # RVL: uint32 columns, uint32 rows
 
 
@@ -71,7 +74,7 @@ def depth(form, data):
         return image
     image, head = _deep(form, data)
     encoding = form.partition(';')[0].strip()
-    if encoding == '16UC1':
+    if encoding in INTEGERS:
         return image
     if encoding != '32FC1':
         raise ValueError(f'encoding {encoding!r}', f'a compressed depth image has the format '

@@ -9,6 +9,7 @@ np.frombuffer, which takes both.
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from persem_ros.core.transforms import transform
 from persem_ros.errors import PersemError
@@ -16,7 +17,8 @@ from persem_ros.inputs.decode import compressed
 
 LABELS = {'mono8': 'u1', '8UC1': 'u1', 'mono16': 'u2', '16UC1': 'u2', '16SC1': 'i2',
           '32SC1': 'i4'}
-DEPTH = {'16UC1': 'u2', '32FC1': 'f4'}
+DEPTH = {'16UC1': 'u2', 'mono16': 'u2', '32FC1': 'f4', '64FC1': 'f8'}
+MILLIMETRE = 0.001          # unit of integer depth, REP-118
 COLOR = {'rgb8': (3, [0, 1, 2]), 'bgr8': (3, [2, 1, 0]), '8UC3': (3, [2, 1, 0]),
          'rgba8': (4, [0, 1, 2]), 'bgra8': (4, [2, 1, 0]), '8UC4': (4, [2, 1, 0]),
          'mono8': (1, [0, 0, 0]), '8UC1': (1, [0, 0, 0])}
@@ -98,19 +100,21 @@ def labels(msg):
     return _plane(msg, LABELS, 'a label image').astype(np.int32), msg.encoding
 
 
-def depth(msg):
+def depth(msg, scale: float = 0.0) -> NDArray[np.float64]:
     """
     Read a depth image.
 
     Parameters
     ----------
     msg : sensor_msgs/Image or CompressedImage (compressedDepth PNG or RVL)
-        16UC1 holds millimetres, 32FC1 metres.
+        16UC1 and mono16 hold millimetres, 32FC1 and 64FC1 metres.
+    scale : float
+        Metres per unit, where it is another one than that of the encoding; 0: by encoding.
 
     Returns
     -------
     ndarray, shape (H, W), float64
-        Metres along the optical axis; 0, NaN and infinity are "no measurement".
+        Metres; 0, NaN and infinity are "no measurement".
 
     Raises
     ------
@@ -122,9 +126,15 @@ def depth(msg):
         array = _decoded(compressed.depth, msg)
     else:
         array = _plane(msg, DEPTH, 'a depth image')
-    if array.dtype.kind == 'u':
-        return array / 1000.0
-    return array.astype(np.float64)
+    scale = unit_of(array.dtype, scale)
+    # Divided, because units per metre are whole numbers, and metres per unit are rounded ones.
+    return array.astype(np.float64) if scale == 1.0 else \
+        np.true_divide(array, 1.0 / scale, dtype=np.float64)
+
+
+def unit_of(dtype: np.dtype, scale: float = 0.0) -> float:
+    """Return the metres per unit of depth pixels of a *dtype*; *scale* as in depth()."""
+    return scale or (MILLIMETRE if dtype.kind == 'u' else 1.0)
 
 
 def color(msg):

@@ -146,7 +146,7 @@ class Recording:
                 continue
             msg = self.source.decode(data, kind)
             try:
-                Assembler(self.config.camera.rectified).add_info(msg)
+                Assembler(self.config).add_info(msg)
             except BadMessage as fault:
                 raise PersemError(f'{name}: {fault}') from None
             infos[name] = msg

@@ -1,0 +1,146 @@
+"""Is depth in metres along the optical axis? Its numbers tell, and frames that see one place."""
+
+from collections.abc import Iterator, Sequence
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from persem_ros.core.agreement import FACTORS, misses, unit_factor, WORST
+from persem_ros.core.transforms import inverse
+from persem_ros.frames import Camera
+from persem_ros.settings.config import Config, Memory
+
+UNITS = {'millimetres': 0.001, 'centimetres': 0.01}     # metres per unit, of numbers too large
+TRIED = (*FACTORS, 0.25, 0.2, 5.0)  # L515 (0.25 mm), TUM (5000 units a metre), 5 mm units
+FAR = 100.0         # metres: beyond them a depth that is all whole numbers is not in metres
+MOST = 0.5          # share of the measurements that makes a finding
+BASELINE = 0.1      # of the depth, the motion between two frames that tells most
+PAIRS = 6
+CLEAR = 0.5         # of the error, that another kind of depth must leave at most
+AGREE = 0.003       # relative depth error of frames that need no other reading
+VISIBLE = 0.003     # relative depth error below which kinds are not told apart
+EVERY = 4           # pixels between those whose numbers are looked at
+
+
+class Seen(NamedTuple):
+    """A depth image (H, W) in metres, 0, NaN and infinity for none, its camera and its pose."""
+
+    depth: NDArray[np.float64]
+    camera: Camera
+    T_map_camera: NDArray[np.float64]
+
+
+def likely_unit(low: float, high: float, settings: Memory) -> str:
+    """Return what to type where depths *low* to *high* are too large to be metres, else ''."""
+    for name, unit in UNITS.items():
+        if high > FAR and settings.min_depth <= unit * low and unit * high <= settings.max_depth:
+            return f'if they are {name}: --set depth.scale={unit:g}'
+    return ''
+
+
+def about_depth(frames: Sequence[Seen], config: Config, unit: float = 1.0) -> Iterator[str]:
+    """
+    Yield what looks wrong with the depth of some frames: sentences with what to type.
+
+    Parameters
+    ----------
+    frames : sequence of Seen (a persem_ros.frames.Frame is one, too)
+        Of one camera, in stamp order; neighbours see the same places.
+    config : persem_ros.settings.config.Config
+        The settings with which the frames were read.
+    unit : float
+        Metres per unit of the depth images, as they were read.
+
+    """
+    frames = [f for f in frames if f.depth.shape == frames[0].depth.shape
+              and np.array_equal(f.camera.K, frames[0].camera.K)]
+    if not frames:
+        return
+    depths = {i: _measured(frame.depth) for i, frame in enumerate(frames)}
+    moves = _moves(frames, depths)
+    now = _error([misses(depths[i], depths[j], T, frames[0].camera.K) for (i, j), T in moves])
+    agree = now <= AGREE        # so well that no other reading is worth its computation
+    wrong = not agree and _by_motion(frames, depths, unit) \
+        or _by_numbers(depths, config.memory, unit)
+    if wrong:
+        yield wrong
+    elif not agree:
+        yield from _kind(frames, depths, moves, config.depth.kind)
+
+
+def _by_numbers(depths: dict[int, NDArray], settings: Memory, unit: float) -> str:
+    """Return the sentence about numbers that hardly are metres, '' where they may be."""
+    values = np.concatenate([depth[::EVERY, ::EVERY].ravel() for depth in depths.values()])
+    values = values[values > 0.0]
+    if not values.size or unit != 1.0:
+        return ''
+    low, middle, high = np.percentile(values, (5, 50, 95))
+    if middle >= FAR and (values == np.rint(values)).all():
+        return (f'the depths are whole numbers ({low:.4g} to {high:.4g} m): millimetres? '
+                f'--set depth.scale=0.001 reads them so')
+    if np.mean(values > settings.max_depth) > MOST:
+        proposal = likely_unit(low, high, settings)
+        return proposal and (f'{100 * np.mean(values > settings.max_depth):.0f} % of the depths '
+                             f'are beyond memory.max_depth ({low:.4g} to {high:.4g} m), is their '
+                             f'unit right? {proposal[0].upper()}{proposal[1:]}')
+    return ''
+
+
+def _by_motion(frames: Sequence[Seen], depths: dict[int, NDArray], unit: float) -> str:
+    """Return the sentence about a unit with which frames agree clearly better, else ''."""
+    pairs = _pairs(frames, depths)
+    poses = {i: frame.T_map_camera for i, frame in enumerate(frames)}
+    factor, now, then = unit_factor(depths, poses, frames[0].camera.K, pairs, TRIED)
+    if factor == 1.0:
+        return ''
+    where = 'nowhere within 10 %' if now > 0.99 * WORST else f'within {100 * now:.1f} %'
+    return (f"the depth's unit looks wrong: depth of one frame meets that of another {where}, "
+            f'but within {100 * then:.1f} % with --set depth.scale={unit * factor:g}')
+
+
+def _kind(frames: Sequence[Seen], depths: dict[int, NDArray],
+          moves: Sequence[tuple[tuple[int, int], NDArray]], kind: str) -> Iterator[str]:
+    """Yield the sentence about the other kind of depth, where frames agree clearly better."""
+    lengths = np.sqrt(1.0 + (frames[0].camera.rays ** 2).sum(-1))
+    other, scale = ('z', lengths) if kind == 'ray' else ('ray', 1.0 / lengths)
+    K = frames[0].camera.K
+    a = _error([misses(depths[i], depths[j], T, K) for (i, j), T in moves])
+    b = _error([misses(depths[i] * scale, depths[j] * scale, T, K) for (i, j), T in moves])
+    if b < CLEAR * a and a - b > VISIBLE:
+        what = 'the distance along the ray' if other == 'ray' else 'along the optical axis'
+        yield (f'the depth looks like {what}: depth of one frame misses that of another by '
+               f'{100 * a:.1f} %, but by {100 * b:.1f} % with --set depth.kind={other}')
+
+
+def _pairs(frames: Sequence[Seen], depths: dict[int, NDArray]) -> list[tuple[int, int]]:
+    """Return pairs of frames that moved by about BASELINE of what they see, spread over all."""
+    positions = np.array([frame.T_map_camera[:3, 3] for frame in frames])
+    found = []
+    for i in np.unique(np.linspace(0, len(frames) - 2, PAIRS).astype(int)) if len(frames) > 1 \
+            else ():
+        seen = depths[int(i)][depths[int(i)] > 0]
+        if seen.size:
+            moved = np.linalg.norm(positions[i + 1:] - positions[i], axis=1)
+            nearest = np.argmin(np.abs(moved - BASELINE * np.median(seen)))
+            found.append((int(i), int(i + 1 + nearest)))
+    return found
+
+
+def _moves(frames: Sequence[Seen],
+           depths: dict[int, NDArray]) -> list[tuple[tuple[int, int], NDArray]]:
+    """Return the pairs of _pairs(), each with the 4x4 that maps points of i to j."""
+    return [((i, j), inverse(frames[j].T_map_camera) @ frames[i].T_map_camera)
+            for i, j in _pairs(frames, depths)]
+
+
+def _error(errors: Sequence[NDArray]) -> float:
+    """Return the mean of what misses() gave, cut at WORST; infinity with nothing to compare."""
+    found = np.concatenate([np.zeros(0), *errors])
+    found = found[np.isfinite(found)]
+    return float(np.minimum(found, WORST).mean()) if found.size else math.inf
+
+
+def _measured(depth: NDArray) -> NDArray[np.float64]:
+    """Return a depth image in which 0 alone is no measurement."""
+    return np.where(np.isfinite(depth) & (depth > 0.0), depth, 0.0)
