@@ -15,8 +15,8 @@ UNITS = {'millimetres': 0.001, 'centimetres': 0.01}     # metres per unit, of nu
 TRIED = (*FACTORS, 0.25, 0.2, 5.0)  # L515 (0.25 mm), TUM (5000 units a metre), 5 mm units
 FAR = 100.0         # metres: beyond them a depth that is all whole numbers is not in metres
 MOST = 0.5          # share of the measurements that makes a finding
-BASELINE = 0.1      # of the depth, the motion between two frames that tells most
-PAIRS = 6
+BASELINES = 0.1, 0.7    # of the depth, the motion that tells most where it is read right or small
+ANCHORS = 4
 CLEAR = 0.5         # of the error, that another kind of depth must leave at most
 AGREE = 0.003       # relative depth error of frames that need no other reading
 VISIBLE = 0.003     # relative depth error below which kinds are not told apart
@@ -114,17 +114,17 @@ def _kind(frames: Sequence[Seen], depths: dict[int, NDArray],
 
 
 def _pairs(frames: Sequence[Seen], depths: dict[int, NDArray]) -> list[tuple[int, int]]:
-    """Return pairs of frames that moved by about BASELINE of what they see, spread over all."""
+    """Return pairs of frames that moved by about BASELINES of what they see, spread over all."""
     positions = np.array([frame.T_map_camera[:3, 3] for frame in frames])
     found = []
-    for i in np.unique(np.linspace(0, len(frames) - 2, PAIRS).astype(int)) if len(frames) > 1 \
+    for i in np.unique(np.linspace(0, len(frames) - 2, ANCHORS).astype(int)) if len(frames) > 1 \
             else ():
         seen = depths[int(i)][depths[int(i)] > 0]
         if seen.size:
             moved = np.linalg.norm(positions[i + 1:] - positions[i], axis=1)
-            nearest = np.argmin(np.abs(moved - BASELINE * np.median(seen)))
-            found.append((int(i), int(i + 1 + nearest)))
-    return found
+            found += [(int(i), int(i + 1 + np.argmin(np.abs(moved - share * np.median(seen)))))
+                      for share in BASELINES]
+    return list(dict.fromkeys(found))
 
 
 def _moves(frames: Sequence[Seen],
