@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / 'persem_ros'
 FILES = sorted(PACKAGE.rglob('*.py'))
 
-NOUNS = {'__init__', 'errors', 'frames', 'settings'}
+NOUNS = {'__init__', 'errors', 'frames', 'guard', 'settings'}
 LIBRARIES = NOUNS | {'core', 'inputs', 'outputs', 'pipeline', 'preflight'}
 # Room or file -> what it may use of the package; a room may always use itself. The longest name
 # that fits a file holds.
@@ -21,7 +21,8 @@ MAY_IMPORT = {
     '__main__': {'cli'},
     'errors': set(),
     'frames': {'errors'},
-    'settings': {'errors', 'frames'},
+    'guard': {'errors'},
+    'settings': {'errors', 'frames', 'guard'},
     'core': NOUNS,
     'core.frame': NOUNS | {'core.jit', 'core.memory', 'core.transforms'},
     'core.memory': NOUNS | {'core.jit', 'core.transforms'},

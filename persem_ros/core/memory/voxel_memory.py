@@ -11,6 +11,8 @@ from persem_ros.core.memory.pools import (
     BLOCKS, CHUNK, FREE_VOXELS, OBSERVATIONS, Store, STORED, VOXELS)
 from persem_ros.errors import PersemError
 
+LAST_T = 2 ** 31 - 1        # histories keep t as int32
+
 
 @dataclass(frozen=True, eq=False)
 class FrameRecord:
@@ -224,6 +226,9 @@ class VoxelMemory:
         """Enter the frame into the table and return its t (spec section 1)."""
         t = self._t_of_stamp.get(observations.stamp)
         if t is None:
+            if self._next_t > LAST_T:
+                raise PersemError(f'the map has seen as many frames as it can number, {LAST_T + 1}'
+                                  '; begin a new one (another map.path, or ~/reset)')
             t, self._next_t = self._next_t, self._next_t + 1
             self._t_of_stamp[observations.stamp] = t
         self.frames.append(FrameRecord(t, self.session, observations.sensor, observations.stamp,

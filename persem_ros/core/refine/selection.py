@@ -17,7 +17,7 @@ METHODS = {'trust': (False, PROPOSED), 'context': (False, CANDIDATE), 'history':
 # the caller, because a record does not keep an array of the kernel's own alive.
 SCRATCH = np.dtype([
     ('hist', 'f8', 65536), ('hard', 'f8', 65536),       # S_hist and S_hard by class
-    ('touched', 'u2', 65536),                           # the classes where they are not 0
+    ('touched', 'u2', 65536), ('mark', 'u1', 65536),    # the classes around, each once
     ('ids', 'u2', 65536), ('evidence', 'f8', 65536)])   # e of the replay
 GAPS = 1024         # gaps in frames whose weight is looked up rather than computed
 
@@ -99,7 +99,7 @@ def _visit(blocks, b, cell, row, start, classes, shares, majority, neighbours, w
     Returns their number and how many classes were touched; hist and hard are left as means.
 
     """
-    hist, hard, touched = work.hist, work.hard, work.touched
+    hist, hard, touched, mark = work.hist, work.hard, work.touched, work.mark
     block = blocks[b]
     around, n = 0, 0
     for d in neighbours:
@@ -114,7 +114,8 @@ def _visit(blocks, b, cell, row, start, classes, shares, majority, neighbours, w
         around += 1
         for e in range(start[u], start[u + 1]):
             c = np.int64(classes[e])
-            if hist[c] == 0.0:
+            if mark[c] == 0:        # not by hist: a share may be 0
+                mark[c] = 1
                 touched[n] = c
                 n += 1
             hist[c] += shares[e]
@@ -129,9 +130,10 @@ def _visit(blocks, b, cell, row, start, classes, shares, majority, neighbours, w
 @inlined
 def _forget(work, n):
     """Clear the support of the touched classes."""
-    hist, hard, touched = work.hist, work.hard, work.touched
+    hist, hard, touched, mark = work.hist, work.hard, work.touched, work.mark
     for k in range(n):
         c = np.int64(touched[k])
+        mark[c] = 0
         hist[c] = 0.0
         hard[c] = 0.0
 

@@ -6,9 +6,9 @@ import zlib
 
 import numpy as np
 from persem_ros.core.memory.dump import MemoryDump
-from persem_ros.core.memory.pools import CELLS
 from persem_ros.core.memory.voxel_memory import FrameRecord
 from persem_ros.frames import MAX_ID
+from persem_ros.outputs.map.checks import check_about, check_dump
 
 SCHEMA = 1
 ORDER = {'about': 'name', 'frames': 'row', 'classes': 'id', 'blocks': 'x, y, z'}
@@ -28,6 +28,13 @@ CREATE TABLE blocks (x INTEGER, y INTEGER, z INTEGER, voxels INTEGER, crc INTEGE
                      {", ".join(f"{name} BLOB" for name, _ in COLUMNS)},
                      PRIMARY KEY (x, y, z));
 """
+# Columns of the tables and the types of their values, as a file must have them.
+NAMES = {'about': ('name', 'value'),
+         'frames': ('row', 't', 'session', 'sensor', 'stamp', 'T_map_sensor'),
+         'classes': ('id', 'starts', 'changes', 'seen', 'rho'),
+         'blocks': ('x', 'y', 'z', 'voxels', 'crc', *(name for name, _ in COLUMNS))}
+KINDS = {'about': (str, (int, float, str, bytes)), 'frames': (int, int, int, str, int, bytes),
+         'classes': (int, int, int, int, float), 'blocks': (int,) * 5 + (bytes,) * len(COLUMNS)}
 
 
 def to_rows(saved, texts):
@@ -115,6 +122,7 @@ def from_rows(rows):
     crc = about.pop('crc')
     if crc != _crc(*sorted(about.items()), *frames, *classes):
         raise ValueError('checksum of the small tables')
+    check_about(about)
     columns = {name: np.frombuffer(bytearray().join(row[5 + k] for row in blocks), kind)
                for k, (name, kind) in enumerate(COLUMNS)}
     for row in blocks:
@@ -124,6 +132,8 @@ def from_rows(rows):
     counts = {name: np.zeros(MAX_ID + 2, kind) for name, kind in (
         ('starts', np.int64), ('changes', np.int64), ('seen', np.uint8), ('rho', np.float64))}
     ids = [row[0] for row in classes]
+    if ids and not 0 <= min(ids) <= max(ids) <= MAX_ID:
+        raise ValueError('ids of the classes')
     for k, column in enumerate(counts.values(), 1):
         column[ids] = [row[k] for row in classes]
     saved = MemoryDump(
@@ -134,47 +144,8 @@ def from_rows(rows):
         seen_ids=counts['seen'], rho=counts['rho'] if about['refined'] else None,
         frames=[FrameRecord(*row[1:5], np.frombuffer(row[5]).reshape(4, 4).copy())
                 for row in frames])
-    _check(saved, about)
+    check_dump(saved, about)
     return about, saved
-
-
-def _check(saved, about):
-    """Refuse (ValueError) columns that do not fit together, whoever wrote their checksums."""
-    n, rows = len(saved.cell), np.diff(saved.block_start)
-    evidence, history = np.diff(saved.evidence_start), np.diff(saved.history_start)
-    last = np.zeros(n, bool)
-    last[saved.block_start[1:] - 1] = True
-    newest = np.zeros(len(saved.history_t), bool)
-    newest[saved.history_start[1:] - 1] = True
-    fits = {
-        'number of blocks': len(rows) == about['blocks'] and (rows > 0).all(),
-        'number of voxels': n == about['voxels'] == saved.block_start[-1],
-        'length of a column': len(saved.evidence_sum) == saved.evidence_start[-1] and
-        len(saved.history_t) == saved.history_start[-1] and
-        all(len(getattr(saved, name)) == n for name, _ in VOXEL) and
-        all(len(getattr(saved, name)) == len(saved.history_t) for name, _ in HISTORY) and
-        all(len(getattr(saved, name)) == len(saved.evidence_sum) for name, _ in EVIDENCE)}
-    _all_or_damaged(fits)
-    fits = {
-        'cells': (saved.cell < CELLS).all() and
-        ((np.diff(saved.cell.astype(np.int64)) > 0) | last[:-1]).all(),
-        'observations': (history > 0).all() and (history <= saved.observations).all() and
-        saved.observations.sum(dtype=np.int64) == about['observations'],
-        'labels': max((column.max(initial=0) for column in (
-            saved.label, saved.majority, saved.last, saved.history_label,
-            saved.evidence_class))) <= MAX_ID and saved.source.max(initial=0) <= 3,
-        'evidence': (evidence > 0).all() and (saved.evidence_sum > 0).all() and
-        np.isfinite(saved.evidence_sum).all(),
-        'times': (saved.history_t >= 0).all() and
-        ((np.diff(saved.history_t) >= 0) | newest[:-1]).all()}
-    _all_or_damaged(fits)
-
-
-def _all_or_damaged(fits):
-    """Raise ValueError with the first name whose condition does not hold."""
-    for name, holds in fits.items():
-        if not holds:
-            raise ValueError(name)
 
 
 def _crc(*rows):

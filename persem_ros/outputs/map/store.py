@@ -13,14 +13,15 @@ import logging
 from pathlib import Path
 import sqlite3
 import struct
-from urllib.parse import quote
 
 import numpy as np
 from persem_ros.core.memory.dump import dump, load as load_memory, MemoryDump
 from persem_ros.core.memory.pools import SIDE
 from persem_ros.errors import PersemError
+from persem_ros.guard.database import check_tables, checked, opened
 from persem_ros.outputs.files import replacing
-from persem_ros.outputs.map.rows import from_rows, ORDER, SCHEMA, TABLES, to_rows
+from persem_ros.outputs.map.rows import (
+    from_rows, KINDS, NAMES, ORDER, SCHEMA, TABLES, to_rows)
 from persem_ros.settings import config_file
 from persem_ros.settings.legend import Legend
 
@@ -155,11 +156,12 @@ def load(path):
     path = Path(path)
     _check_magic(path)
     try:
-        # Immutable: no lock, no journal, nothing is ever written beside the file.
-        uri = f'file:{quote(str(path.resolve()))}?mode=ro&immutable=1'
-        with closing(sqlite3.connect(uri, uri=True)) as db:
+        with closing(opened(path)) as db:
             _check_kind(db, path)
-            rows = {table: list(db.execute(f'SELECT * FROM {table} ORDER BY {key}'))
+            check_tables(db, NAMES)
+            size = path.stat().st_size
+            rows = {table: list(checked(db.execute(f'SELECT * FROM {table} ORDER BY {key}'),
+                                        KINDS[table], size))
                     for table, key in ORDER.items()}
         about, saved = from_rows(rows)
     except (sqlite3.Error, sqlite3.Warning, KeyError, TypeError, ValueError, IndexError,
