@@ -1,0 +1,131 @@
+"""Maps that mean harm: refused, or safe for all that may be done to a map."""
+
+from contextlib import closing
+import dataclasses
+import sqlite3
+
+import core_worlds as cw
+import numpy as np
+from persem_ros.core.memory.dump import dump
+from persem_ros.core.refine.job import refine
+from persem_ros.errors import PersemError
+from persem_ros.outputs.map import store
+from persem_ros.settings.config import Config, Refine
+from persem_ros.settings.legend import load_legend
+import pytest
+from tampering import exercise, renew, tamper
+
+
+@pytest.fixture(scope='module')
+def whole(tmp_path_factory):
+    """Return the path of a small refined map of several blocks."""
+    rng, memory = np.random.default_rng(1), cw.core_of([])
+    for t in range(12):
+        seen = {tuple(voxel): (int(rng.choice(cw.IDS)), float(rng.choice(cw.SHARES)))
+                for voxel in rng.integers(-9, 9, (60, 3)).tolist()}
+        memory.add(cw.observations(10 ** 18 + 10 ** 8 * t, seen, [1, 2], f'camera {t % 2}'))
+    refine(memory, Refine())
+    path = tmp_path_factory.mktemp('map') / 'whole.persem'
+    store.save(path, memory, Config(), load_legend('town'))
+    return path
+
+
+def test_the_whole_map_stands_all_that_is_done_to_it(whole, tmp_path):
+    exercise(whole, tmp_path / 'again.persem')
+
+
+@pytest.mark.parametrize('seeds', [range(k, k + 20) for k in range(0, 80, 20)], ids=str)
+def test_tampered_maps_are_refused_or_safe(whole, tmp_path, seeds):
+    accepted = refused = 0
+    for seed in seeds:
+        path = tmp_path / 'tampered.persem'
+        done = tamper(whole, path, seed)
+        try:
+            exercise(path, tmp_path / 'again.persem')
+            accepted += 1
+        except PersemError as error:
+            assert len(str(error)) < 600 and str(error).isprintable(), (seed, done)
+            refused += 1
+        except BaseException as error:
+            raise AssertionError(f'seed {seed}, {done}: {error!r}') from error
+    assert refused > 5 and refused + accepted == len(seeds)
+
+
+def changed(path, whole, **columns):
+    """Write the whole map with other columns."""
+    saved = store.load(whole).saved
+    store.save(path, dataclasses.replace(saved, **columns), Config())
+    return path
+
+
+def refusal(path):
+    with pytest.raises(PersemError) as caught:
+        store.load(path)
+    return str(caught.value)
+
+
+def test_a_block_twice(whole, tmp_path):
+    path = tmp_path / 'twice.persem'
+    path.write_bytes(whole.read_bytes())
+    with closing(sqlite3.connect(path)) as db:
+        db.executescript('CREATE TABLE b AS SELECT * FROM blocks; DROP TABLE blocks; '
+                         'ALTER TABLE b RENAME TO blocks; INSERT INTO blocks SELECT * FROM blocks')
+        for name in ('blocks', 'voxels', 'observations'):
+            db.execute('UPDATE about SET value = 2 * value WHERE name = ?', (name,))
+        db.commit()
+    renew(path)
+    assert 'a block twice' in refusal(path)
+
+
+def test_times_beyond_the_frame_table(whole, tmp_path):
+    times = store.load(whole).saved.history_t
+    path = changed(tmp_path / 'm.persem', whole, history_t=np.full_like(times, 12))
+    assert '(times)' in refusal(path)
+
+
+@pytest.mark.parametrize('value', [np.nan, np.inf, -1.0, 0.0, 1.5])
+def test_confidences_outside_of_0_to_1(whole, tmp_path, value):
+    confidences = store.load(whole).saved.history_confidence.copy()
+    confidences[7] = value
+    path = changed(tmp_path / 'm.persem', whole, history_confidence=confidences)
+    assert '(confidences)' in refusal(path)
+
+
+@pytest.mark.parametrize('value', [5e-324, 1e-60, 1e30, -1.0])
+def test_evidence_that_no_history_gives(whole, tmp_path, value):
+    sums = store.load(whole).saved.evidence_sum.copy()
+    sums[3] = value
+    path = changed(tmp_path / 'm.persem', whole, evidence_sum=sums)
+    assert '(evidence' in refusal(path) or '(majority' in refusal(path)
+
+
+@pytest.mark.parametrize('value', [0.0, -1.0, float('inf'), float('nan')])
+def test_sizes_that_are_none(whole, tmp_path, value):
+    path = changed(tmp_path / 'm.persem', whole, voxel_size=value)
+    assert 'damaged' in refusal(path)
+
+
+def test_more_observations_than_frames(whole, tmp_path):
+    saved = store.load(whole).saved
+    many = np.full_like(saved.observations, 2 ** 32 - 2)
+    path = changed(tmp_path / 'm.persem', whole, observations=many)
+    assert '(observations)' in refusal(path)
+
+
+def test_counters_may_be_larger_than_what_is_stored_but_not_smaller(whole, tmp_path):
+    saved = store.load(whole).saved
+    more = saved.starts + 5 * (saved.starts > 0)
+    larger = changed(tmp_path / 'larger.persem', whole, starts=more)
+    assert (store.load(larger).saved.starts == more).all()
+    smaller = changed(tmp_path / 'smaller.persem', whole, starts=np.zeros_like(saved.starts))
+    assert '(class counters)' in refusal(smaller)
+
+
+def test_t_does_not_wrap():
+    memory = cw.core_of([(1, {(0, 0, 0): (1, 1.0)}, [])])
+    memory._next_t = 2 ** 31 - 1
+    memory.add(cw.observations(2, {(0, 0, 0): (1, 1.0)}))
+    assert dump(memory).history_t.tolist() == [0, 2 ** 31 - 1]
+    with pytest.raises(PersemError, match='as many frames as it can number'):
+        memory.add(cw.observations(3, {(0, 0, 0): (1, 1.0)}))
+    assert dump(memory).history_t.tolist() == [0, 2 ** 31 - 1]
