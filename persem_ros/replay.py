@@ -9,7 +9,6 @@ from persem_ros.core.jit import Announcement
 from persem_ros.core.refine.regions import regions
 from persem_ros.core.warmup import warm_up
 from persem_ros.errors import PersemError
-from persem_ros.inputs.recording.recording import Recording
 from persem_ros.outputs.files import write_json, write_text
 from persem_ros.outputs.map import store
 from persem_ros.outputs.map.cloud import map_points
@@ -22,6 +21,7 @@ from persem_ros.outputs.results.metrics import Metrics
 from persem_ros.pipeline import Pipeline
 from persem_ros.preflight.advice import Advice
 from persem_ros.preflight.emptiness import Emptiness
+from persem_ros.preflight.look import opened
 from persem_ros.rendering import Renderer
 from persem_ros.settings import config_file
 from persem_ros.settings.config import IMAGE_METHODS, METHODS, nearest
@@ -226,7 +226,8 @@ def replay(path, out, config, methods=None, causal=False, force=False, watchers=
 
     """
     methods = chosen_methods(methods, config)
-    with Recording(path, config) as recording:
+    with opened(path, config) as recording:
+        config = recording.config       # with what the look before took over
         memory = start_map(config)
         folder = rundir.prepare(out, force, keep=(path, config.map.path))
         compile_kernels()

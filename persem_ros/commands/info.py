@@ -22,7 +22,10 @@ def run(args):
     from tqdm import tqdm
 
     from persem_ros.settings import config_file
-    from persem_ros.preflight import contents, contents_text
+    from persem_ros.preflight import contents, contents_text, recorded
+    from persem_ros.preflight.findings import of_severity, REFUSE
+    from persem_ros.preflight.look import look, takes_of
+    from persem_ros.preflight.stamps import usable
     from persem_ros.inputs.recording.source import Source
     from persem_ros.inputs.recording.topics import Choice
 
@@ -33,6 +36,14 @@ def run(args):
             it, total=total, unit=' messages', leave=False, dynamic_ncols=True,
             disable=not sys.stderr.isatty()))
         choice = Choice(source, config)
-        lacking = contents.problems(source, choice, config)
-        print(contents_text.text(source, rows, choice, lacking), end='')
+        found, counts = [], []
+        if not choice.problems:
+            sample = recorded.sample(source, choice, config)
+            found = look(sample)
+            counts = [usable(view, sample) for view in sample.views]
+        lacking = choice.problems + [f.text() for f in of_severity(found, REFUSE)]
+        words = [word for item in args.set_items for word in ('--set', item)]
+        words += ['--config', args.config] if args.config else []
+        words += [word for item in takes_of(found).items() for word in ('--set', '='.join(item))]
+        print(contents_text.text(source, rows, choice, lacking, found, counts, words), end='')
     return 1 if lacking else 0

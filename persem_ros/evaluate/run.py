@@ -12,9 +12,9 @@ from persem_ros.evaluate.show import page, table
 from persem_ros.evaluate.show.paper_tables import tables
 from persem_ros.evaluate.work import jobs, manifest
 from persem_ros.evaluate.work.task import ALL_METHODS, Task
-from persem_ros.inputs.recording.recording import Recording
 from persem_ros.outputs.files import write_json, write_text
 from persem_ros.outputs.results import rundir
+from persem_ros.preflight.look import opened
 from persem_ros.settings import config_file
 from persem_ros.settings.config import nearest
 from persem_ros.settings.legend import Legend
@@ -153,7 +153,7 @@ def check(task):
     """Return the frames that a task will read; refuse what cannot be used, before the work."""
     if task.config.map.path:
         raise PersemError('map.path: an evaluation begins with an empty map; leave it out')
-    with Recording(task.recording, task.config) as recording:
+    with opened(task.recording, task.config) as recording:
         text = recording.legend_text
         legend = Legend.from_yaml(text, "the recording's legend") if text else None
         found = taxonomy(task.labels, task.grouped, task.dynamic, legend)

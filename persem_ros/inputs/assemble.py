@@ -4,7 +4,7 @@ from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.frames import Frame, same_aspect
+from persem_ros.frames import Camera, Frame, same_aspect
 from persem_ros.inputs.decode import messages
 from persem_ros.inputs.decode.camera import camera, check, content
 from persem_ros.inputs.decode.messages import BadMessage
@@ -86,11 +86,7 @@ class Assembler:
                              f'a label image has the size {labels.shape[1]} x {labels.shape[0]}, '
                              f'its depth image {depth.shape[1]} x {depth.shape[0]}, expected one '
                              'aspect ratio')
-        view, blind, lengths = self._camera(depth_msg, *depth.shape[::-1])
-        if blind is not None:
-            depth[blind] = np.nan
-        if lengths is not None:
-            depth /= lengths
+        view = self._seen(depth_msg, depth)
         companions, faults = {}, []
         for kind, read in ((TRUTH, _truth_like(labels)), (COLOR, messages.color)):
             if kind in decoded:
@@ -100,6 +96,20 @@ class Assembler:
                     faults.append(fault)
         return Frame(match.stamp, labels, depth, view, match.T_map_camera, self._sensor,
                      messages.frame_id(label_msg), encoding, **companions), faults
+
+    def seen(self, depth_msg) -> tuple[NDArray[np.float64], Camera]:
+        """Return depth (H, W), metres along the optical axis, and camera of a depth message."""
+        depth = self.depth(depth_msg)
+        return depth, self._seen(depth_msg, depth)
+
+    def _seen(self, depth_msg, depth: NDArray[np.float64]) -> Camera:
+        """Return the Camera of a depth image and make what it holds depth along the axis."""
+        view, blind, lengths = self._camera(depth_msg, *depth.shape[::-1])
+        if blind is not None:
+            depth[blind] = np.nan
+        if lengths is not None:
+            depth /= lengths
+        return view
 
     def _camera(self, depth_msg, width, height):
         """

@@ -1,15 +1,10 @@
-"""What is in a recording: one row a topic, and what stands in the way of a replay."""
+"""What is in a recording: one row a topic."""
 
 from dataclasses import dataclass, field
 
-from persem_ros.frames import same_aspect
-from persem_ros.inputs.assemble import Assembler
 from persem_ros.inputs.decode import messages
 from persem_ros.inputs.decode.messages import BadMessage
-from persem_ros.inputs.recording import latched
-from persem_ros.inputs.recording.topics import (
-    COMPRESSED, first_messages, IMAGE, INFO, NEEDED, POSES, TF, TRIED)
-from persem_ros.inputs.sync.poses import PoseBuffer
+from persem_ros.inputs.recording.topics import COMPRESSED, IMAGE, INFO, POSES, TF, TRIED
 
 HEADERS = {IMAGE, COMPRESSED, INFO, *POSES.values()}
 SHORTEST = 10**8             # ns; latched messages come in a burst, which is no rate
@@ -93,33 +88,6 @@ def survey(source, progress=iter):
     return list(rows.values())
 
 
-def problems(source, choice, config):
-    """
-    Return what stands in the way of a replay: sentences with flags to paste.
-
-    Parameters
-    ----------
-    source : persem_ros.inputs.recording.source.Source
-        The open recording.
-    choice : persem_ros.inputs.recording.topics.Choice
-        The topics that would be used.
-    config : persem_ros.settings.config.Config
-        The settings.
-
-    """
-    found = list(choice.problems)
-    names = {topic.name for chosen in choice.cameras.values() for topic in chosen.values()}
-    firsts = first_messages(source, names)
-    statics = latched.read(source, choice).statics
-    for chosen in choice.cameras.values():
-        samples = {kind: firsts[topic.name] for kind, topic in chosen.items()
-                   if topic.name in firsts}
-        found += _unusable(chosen, samples, config)
-        if not choice.problems:
-            found += _unmounted(statics, samples, config)
-    return list(dict.fromkeys(found))
-
-
 def _stamp(kind, data):
     """Return the stamp in a serialized message, None where it has none."""
     # A TFMessage begins with the number of its transforms, each of which begins with a header.
@@ -164,41 +132,3 @@ def _compressed_size(msg):
     except BadMessage:
         return ''
     return f'{width}x{height}'
-
-
-def _unusable(chosen, samples, config):
-    """Return what is wrong with the first messages of the images and camera infos."""
-    found, sizes = [], {}
-    for kind, read in (('labels', lambda msg: messages.labels(msg)[0]), ('depth', messages.depth),
-                       ('camera_info', Assembler(config).add_info)):
-        if kind not in chosen:
-            continue
-        if kind not in samples:
-            found.append(f'{chosen[kind].name} has no message that can be read')
-            continue
-        try:
-            result = read(samples[kind])
-            sizes[kind] = None if result is None else result.shape[::-1]
-        except BadMessage as fault:
-            found.append(f'{NEEDED[kind]} on {chosen[kind].name}: {fault}')
-    labels, depth = sizes.get('labels'), sizes.get('depth')
-    if labels and depth and not same_aspect(labels, depth):
-        found.append(f'label images are {labels[0]} x {labels[1]}, depth images {depth[0]} x '
-                     f'{depth[1]}: expected one aspect ratio')
-    return found
-
-
-def _unmounted(statics, samples, config):
-    """Return the sentence for poses that nothing connects with the camera."""
-    if 'pose' not in samples or 'depth' not in samples:
-        return []
-    poses = PoseBuffer(config)
-    for transform in statics:
-        poses.add_static(*transform)
-    try:
-        stamp, T, parent, child = messages.pose(samples['pose'])
-    except BadMessage as fault:
-        return [f'poses: {fault}']
-    poses.add(stamp, T, parent, child)
-    frame = messages.frame_id(samples['depth']) or messages.frame_id(samples['labels'])
-    return [poses.mount_sentence(frame)] if poses.lookup(stamp, frame).T is None else []

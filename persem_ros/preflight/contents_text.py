@@ -1,20 +1,30 @@
 """The report of persem info as plain text."""
 
 from datetime import datetime, timezone
-from shlex import quote
+from shlex import join
+
+from persem_ros.preflight.findings import NOTE, of_severity, WARN
 
 COLUMNS = ('topic', 'type', 'messages', 'Hz', 'encoding', 'size', 'frame', 'first', 'last', '')
 PLAUSIBLE = range(10**17, 10**19)      # ns since 1970 that are dates; others are shown as seconds
 
 
-def text(source, rows, choice, lacking):
+def text(source, rows, choice, lacking, found=(), counts=(), words=()):
     """
     Return the report.
 
     Parameters
     ----------
-    source, rows, choice, lacking
-        The source, its survey, the choice and its problems.
+    source, rows, choice
+        The source, its survey and the choice of topics.
+    lacking : list of str
+        Why a replay would be refused, sentences with flags.
+    found : list of Finding
+        What the checks found.
+    counts : list of int
+        How many frames of each camera a replay would use.
+    words : list of str
+        The options of the replay, '--set', 'a=b', ….
 
     Returns
     -------
@@ -40,9 +50,10 @@ def text(source, rows, choice, lacking):
     lines += [f'  {kind:<12} {topic.name}' for kind, topics in (
         ('tf', choice.tf if 'pose' not in next(iter(choice.cameras.values())) else []),
         ('tf_static', choice.tf_static), ('legend', choice.legends)) for topic in topics]
+    lines += [f'{f.severity}: {f.text()}' for f in of_severity(found, NOTE, WARN)]
     lines += [f'missing: {sentence}' for sentence in lacking]
-    lines.append('not usable as it is' if lacking else
-                 f'usable: persem replay {quote(str(source.path))} --out DIR')
+    lines.append('not usable as it is' if lacking else 'usable: ' + join(
+        ['persem', 'replay', str(source.path), '--out', 'DIR', *words]))
     return '\n'.join(lines) + '\n'
 
 

@@ -111,7 +111,7 @@ UNUSABLE = {
         ["'64FC1'", '16UC1', '32FC1']),
     'short data': (lambda path: bad.written(path, spoiled_all(
         'depth', data=np.zeros(7, np.uint8))), ['7 bytes', 'height x step']),
-    'zero size': (lambda path: bad.written(path, spoiled_all('labels', height=0)), ['zero size']),
+    'zero size': (lambda path: bad.written(path, spoiled_all('labels', height=0)), ['16 x 0']),
     'another shape': (lambda path: bad.written(path, spoiled_all(
         'labels', height=6, data=np.zeros(6 * 32, np.uint8))), ['16 x 6', 'aspect']),
     'K with zeros': (lambda path: bad.written(path, spoiled_all('info', k=np.zeros(9))),

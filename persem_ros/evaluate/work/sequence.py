@@ -20,10 +20,10 @@ from persem_ros.evaluate.measure.taxonomy import taxonomy
 from persem_ros.evaluate.measure.voxel_kinds import kinds_of
 from persem_ros.evaluate.work.pictures import Panels, top_view
 from persem_ros.evaluate.work.stream import Stream
-from persem_ros.inputs.recording.recording import Recording
 from persem_ros.outputs.results import rundir
 from persem_ros.outputs.results.peak import PeakMemory
 from persem_ros.pipeline import Pipeline
+from persem_ros.preflight.look import opened
 from persem_ros.settings.config import IMAGE_METHODS, METHODS
 from persem_ros.settings.legend import Legend, load_legend
 
@@ -54,7 +54,7 @@ def evaluate_sequence(task, tick=None):
         When the recording cannot be used.
 
     """
-    with PeakMemory() as peak, Recording(task.recording, task.config) as recording:
+    with PeakMemory() as peak, opened(task.recording, task.config, quiet=True) as recording:
         warm_up()
         sequence = Sequence(task, recording, tick)
         sequence.integrate()
@@ -70,7 +70,7 @@ class Sequence:
         self.task, self.recording, self._tick = task, recording, tick
         self.stream = Stream(recording, task.predictions, task.disturbance)
         self.watch = rundir.Stopwatch()
-        self.pipeline = Pipeline(task.config)
+        self.pipeline = Pipeline(recording.config)
         self.images = [m for m in task.methods if m in IMAGE_METHODS]
         self.methods = (*self.images, *(m for m in task.methods if m in METHODS))
         self.taxonomy = taxonomy(task.labels, task.grouped, task.dynamic, _legend(recording, task))

@@ -22,6 +22,8 @@ class Recording:
         A rosbag2 folder (mcap or sqlite3, compressed or not), or a single .mcap or .db3 file.
     config : persem_ros.settings.config.Config
         The settings topics.*, cameras.*, pose.*, frames.map, sync.* and camera.*.
+    source : Source, optional
+        The recording, where it is open already; it is closed with this.
 
     Attributes
     ----------
@@ -44,9 +46,9 @@ class Recording:
 
     """
 
-    def __init__(self, path, config):
+    def __init__(self, path, config, source=None):
         """Open the recording, choose topics, read static transforms and camera infos."""
-        self.source = Source(path)
+        self.source = source or Source(path)
         self.path = self.source.path
         self.config = config
         self.dropped = Counter()

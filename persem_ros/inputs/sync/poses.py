@@ -114,12 +114,13 @@ class PoseBuffer:
         self._child = ''
         self._moving = {}       # child -> Track
         self._static = {}       # child -> (parent, T)
-        self._mounts = {}
-        self._extrinsic = _extrinsic(config.pose.extrinsic)
 
-    def configure(self, pose):
-        """Go on with another pose.max_gap (persem_ros.settings.config.Pose)."""
+    def configure(self, pose, map_frame=None):
+        """Go on with other settings pose.* (persem_ros.settings.config.Pose) and frames.map."""
         self._settings = pose
+        self._map = map_frame or self._map
+        self._extrinsic = _extrinsic(pose.extrinsic)
+        self._mounts = {}
         self._gap = round(pose.max_gap * 1e9)
 
     def clear(self):
@@ -137,7 +138,7 @@ class PoseBuffer:
         """Take a message of the pose topic; return False for a stamp that repeats."""
         if self._poses is None or self._poses.parent != parent:
             self._poses = Track(parent, self._keep)
-        self._child = self._settings.child_frame or child
+        self._child = child
         first, last = self._span or (stamp, stamp)
         self._span = min(first, stamp), max(last, stamp)
         return self._poses.add(stamp, T)
@@ -153,6 +154,11 @@ class PoseBuffer:
         """Take a transform of /tf_static."""
         self._static[child] = (parent, T)
         self._mounts.clear()
+
+    @property
+    def child(self):
+        """Return the frame that the poses place, '' where neither settings nor messages say."""
+        return self._settings.child_frame or self._child
 
     def lookup(self, stamp, frame):
         """
@@ -181,7 +187,7 @@ class PoseBuffer:
         above = self._above(self._poses.parent, stamp)
         if above.T is None:
             return above
-        mount = self._mount(self._child, frame)
+        mount = self._mount(self.child, frame)
         if mount is None:
             return Lookup(None, False, NO_MOUNT)
         return Lookup(above.T @ found.T @ mount)
@@ -199,7 +205,7 @@ class PoseBuffer:
     def mount_sentence(self, frame):
         """Return the sentence that says what NO_MOUNT lacks for images in *frame*."""
         known = ', '.join(f'{parent} -> {child}' for child, (parent, _) in self._static.items())
-        return (f'the poses place the frame {self._child!r}, the images are in {frame!r}, and '
+        return (f'the poses place the frame {self.child!r}, the images are in {frame!r}, and '
                 f'/tf_static ({known or "empty"}) does not connect them; give the mounting with '
                 '--set pose.extrinsic=[x,y,z,qx,qy,qz,qw], or --set '
                 f'pose.child_frame={frame} if the poses place the camera itself')

@@ -1,0 +1,64 @@
+"""Depth images and their camera infos: whether they can be read, and as what."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from persem_ros.inputs.decode import messages
+from persem_ros.inputs.decode.camera import check as check_info
+from persem_ros.inputs.decode.messages import BadMessage
+from persem_ros.preflight.depth_fit import about_depth, Seen
+from persem_ros.preflight.findings import Finding, REFUSE, WARN
+from persem_ros.preflight.sample import Sample, Stamps, View
+
+ANCHORS = 4             # places of a recording
+STEPS = (0, 1, 3, 8)    # frames from there
+
+
+def check(sample: Sample) -> Iterator[Finding]:
+    """Yield what is wrong with the first depth images and camera infos."""
+    rectified = sample.config.camera.rectified
+    for view in sample.views:
+        yield from _unreadable(view, 'depth', 'depth images', messages.depth)
+        yield from _unreadable(view, 'camera_info', 'camera infos',
+                               lambda msg: check_info(msg, rectified))
+
+
+def check_fit(sample: Sample) -> Iterator[Finding]:
+    """Yield what looks wrong with the depth where frames with poses see one place."""
+    for view in sample.views:
+        stamps = _spread(np.unique(view.stamps['depth']))
+        found = {stamp: view.poses.lookup(stamp, view.image_frame).T for stamp in stamps}
+        placed = [stamp for stamp in stamps if found[stamp] is not None]
+        shots = view.shots(placed)
+        seen = [Seen(*shots[stamp], found[stamp]) for stamp in placed if stamp in shots]
+        for sentence in about_depth(seen, sample.config, _unit(view, sample.config.depth.scale)):
+            yield Finding(WARN, sentence)
+
+
+def _spread(stamps: Stamps) -> list[int]:
+    """Return stamps of frames that are near each other, from several places of a recording."""
+    anchors = np.linspace(0, max(len(stamps) - 1, 0), ANCHORS + 2)[1:-1].astype(int)
+    numbers = np.unique([a + step for a in anchors for step in STEPS])
+    return stamps[numbers[(numbers >= 0) & (numbers < len(stamps))]].tolist()
+
+
+def _unit(view: View, scale: float) -> float:
+    """Return the metres per unit with which a camera's depth images are read."""
+    encoding = getattr(view.firsts['depth'][0], 'encoding', '') or '16UC1'
+    return messages.unit_of(np.dtype(messages.DEPTH.get(encoding, 'u2')), scale)
+
+
+def _unreadable(view: View, role: str, what: str,
+                read: Callable[[Any], Any]) -> Iterator[Finding]:
+    """Yield why no first message of a role can be used."""
+    fault = None
+    for msg in view.firsts.get(role, ()):
+        try:
+            read(msg)
+            return
+        except BadMessage as error:
+            fault = fault or error
+    yield Finding(REFUSE, f'{what} on {view.topics[role]}: {fault}' if fault else
+                  f'{view.topics[role]} has no message that can be read')

@@ -1,0 +1,92 @@
+"""All checks over one sample, and the one way in for whoever maps a recording."""
+
+from collections.abc import Callable, Iterator
+import logging
+from pathlib import Path
+from shlex import quote
+
+from persem_ros.errors import PersemError
+from persem_ros.inputs.recording.recording import Recording
+from persem_ros.inputs.recording.source import Source
+from persem_ros.inputs.recording.topics import Choice
+from persem_ros.preflight import depth, frames, labels, recorded, stamps
+from persem_ros.preflight.findings import Finding, NOTE, of_severity, REFUSE, WARN
+from persem_ros.preflight.sample import Sample
+from persem_ros.settings import config_file
+from persem_ros.settings.config import Config
+
+log = logging.getLogger(__name__)
+# What a check takes holds for those after it: frames before whatever needs a pose.
+CHECKS: tuple[Callable[[Sample], Iterator[Finding]], ...] = (
+    labels.check, depth.check, frames.check, stamps.check)
+# What compares frames with each other: only where nothing was refused before.
+FITS: tuple[Callable[[Sample], Iterator[Finding]], ...] = (depth.check_fit,)
+
+
+def look(sample: Sample) -> list[Finding]:
+    """
+    Run every check; settings that one takes are in *sample.config* afterwards (not of a node).
+
+    Returns
+    -------
+    list of Finding
+        Each once, in the order of the checks.
+
+    """
+    found: list[Finding] = []
+    for check in (*CHECKS, *FITS):
+        if check in FITS and of_severity(found, REFUSE):
+            break
+        for finding in check(sample):
+            if finding in found:
+                continue
+            found.append(finding)
+            if finding.takes and not sample.live:
+                items = [config_file.parse_item(f'{k}={v}') for k, v in finding.takes.items()]
+                sample.config = config_file.from_values(dict(items), sample.config)
+                for view in sample.views:
+                    view.poses.configure(sample.config.pose, sample.config.frames.map)
+    return found
+
+
+def say(found: list[Finding]) -> None:
+    """Log what a user should know before mapping."""
+    for finding in of_severity(found, WARN, NOTE):
+        log.warning(finding.text())
+
+
+def takes_of(found: list[Finding]) -> dict[str, str]:
+    """Return the settings that findings took over, {name: value}."""
+    return {name: value for finding in found for name, value in finding.takes.items()}
+
+
+def opened(path: str | Path, config: Config, quiet: bool = False) -> Recording:
+    """
+    Open a recording for mapping, after a look at it.
+
+    Warnings and what was decided are logged, unless *quiet* (somebody has said it before); the
+    Recording's config holds what was taken.
+
+    Raises
+    ------
+    PersemError
+        Where there is no recording, a topic is missing, or a check refuses: every reason and
+        what to type.
+
+    """
+    source = Source(path)
+    try:
+        choice = Choice(source, config)
+        choice.check()
+        sample = recorded.sample(source, choice, config)
+        found = look(sample)
+        refused = of_severity(found, REFUSE)
+        if refused:
+            raise PersemError(f'{path}: {"; ".join(f.text() for f in refused)}; "persem info '
+                              f'{quote(str(path))}" shows what is there')
+        if not quiet:
+            say(found)
+        return Recording(path, sample.config, source)
+    except BaseException:
+        source.close()
+        raise

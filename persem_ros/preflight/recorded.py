@@ -1,0 +1,137 @@
+"""The sample of a recording: one pass that decodes no image, and depth on demand."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from itertools import islice
+from typing import Any
+
+import numpy as np
+
+from persem_ros.inputs.assemble import Assembler
+from persem_ros.inputs.decode import messages
+from persem_ros.inputs.decode.messages import BadMessage
+from persem_ros.inputs.recording import latched
+from persem_ros.inputs.recording.source import Head, Source, TopicInfo
+from persem_ros.inputs.recording.stamps import stamp_of
+from persem_ros.inputs.recording.topics import Choice, first_messages, INFO
+from persem_ros.inputs.sync.poses import PoseBuffer
+from persem_ros.preflight.sample import Sample, Shot, View
+from persem_ros.settings.config import Config
+
+FIRSTS = 3              # messages of a role that are decoded to judge it
+FOREVER = 1e9           # s
+MOST = 200_000          # messages of a long recording that are looked at
+HEADS = 'heads'         # the role of those that keep the heads of a topic's messages
+IMAGES, POSE, TF = ('labels', 'depth', 'camera_info'), 'pose', 'tf'
+
+
+def sample(source: Source, choice: Choice, config: Config) -> Sample:
+    """
+    Look at a recording.
+
+    Parameters
+    ----------
+    source : Source
+        The open recording.
+    choice : Choice
+        Its topics, complete.
+    config : Config
+        The settings.
+
+    """
+    statics = latched.read(source, choice).statics
+    buffers: dict[str, PoseBuffer] = {}
+    roles: dict[str, list[tuple[str, Any]]] = {}
+    heads: dict[str, dict[str, list[tuple[int, Head]]]] = {}
+    for name, chosen in choice.cameras.items():
+        heads[name] = {role: [] for role in (*IMAGES, POSE)}
+        for role in IMAGES:
+            roles.setdefault(chosen[role].name, []).append((HEADS, heads[name][role]))
+        key = chosen[POSE].name if POSE in chosen else TF
+        if key not in buffers:
+            buffers[key] = _buffer(config, statics)
+            for topic in [chosen[POSE]] if POSE in chosen else choice.tf:
+                roles.setdefault(topic.name, []).append((POSE if POSE in chosen else TF,
+                                                         buffers[key]))
+        for topic in [chosen[POSE]] if POSE in chosen else choice.tf:
+            roles.setdefault(topic.name, []).append((HEADS, heads[name][POSE]))
+    _read(source, roles)
+    views = [_view(source, config, name, chosen, heads[name],
+                   buffers[chosen[POSE].name if POSE in chosen else TF])
+             for name, chosen in choice.cameras.items()]
+    return Sample(config, views, info_frames=_info_frames(source))
+
+
+def _buffer(config: Config, statics: Iterable[tuple[Any, str, str]]) -> PoseBuffer:
+    poses = PoseBuffer(config, FOREVER)
+    for transform in statics:
+        poses.add_static(*transform)
+    return poses
+
+
+def _read(source: Source, roles: Mapping[str, list[tuple[str, Any]]]) -> None:
+    """Fill the lists of Heads with stamps and the buffers of *roles* {topic: [(role, taker)]}."""
+    for head in islice(source.heads(set(roles)), MOST):
+        data = b''
+        for role, taker in roles[head.topic]:
+            try:
+                if role == HEADS:
+                    stamp = stamp_of(head.msgtype, head.start)
+                    if stamp is not None:
+                        taker.append((stamp, head))
+                    continue
+                data = data or source.read(head.file, head.place)
+                if role == POSE:
+                    taker.add(*messages.pose(source.decode(data, head.msgtype)))
+                    continue
+                for found in messages.transforms(source.decode(data, head.msgtype))[0]:
+                    taker.add_tf(*found)
+            except BadMessage:      # the reading counts them
+                continue
+
+
+def _view(source: Source, config: Config, name: str, chosen: Mapping[str, TopicInfo],
+          found: Mapping[str, list[tuple[int, Head]]], poses: PoseBuffer) -> View:
+    firsts = {role: list(_some(source, rows)) for role, rows in found.items()}
+
+    def shots(stamps: Iterable[int]) -> dict[int, Shot]:
+        wanted = set(stamps)
+        return _shots(source, config, firsts['camera_info'],
+                      [row for row in found['depth'] if row[0] in wanted])
+
+    return View(name, {role: topic.name for role, topic in chosen.items()}, firsts,
+                {role: np.array([stamp for stamp, _ in rows], np.int64)
+                 for role, rows in found.items()},
+                {role: np.array([head.time for _, head in rows], np.int64)
+                 for role, rows in found.items()}, poses, shots)
+
+
+def _some(source: Source, rows: list[tuple[int, Head]]) -> Iterator[Any]:
+    """Yield the first messages and one of the middle: a camera may have to warm up."""
+    for _, head in rows[:FIRSTS] + rows[max(FIRSTS, len(rows) // 2):][:1]:
+        try:
+            yield source.decode(source.read(head.file, head.place), head.msgtype)
+        except BadMessage:
+            continue
+
+
+def _info_frames(source: Source) -> dict[str, str]:
+    """Return the frame of the first camera info of every topic that has one."""
+    names = {topic.name for topic in source.topics if topic.msgtype == INFO and topic.count}
+    return {name: messages.frame_id(msg) for name, msg in first_messages(source, names).items()}
+
+
+def _shots(source: Source, config: Config, infos: list[Any],
+           wanted: list[tuple[int, Head]]) -> dict[int, Shot]:
+    """Return the depth images of some messages, those of them that can be read."""
+    found = {}
+    assembler = Assembler(config)
+    for info in infos:
+        with suppress(BadMessage):
+            assembler.add_info(info)
+    for stamp, head in wanted:
+        with suppress(BadMessage):
+            depth, view = assembler.seen(source.decode(source.read(head.file, head.place),
+                                                       head.msgtype))
+            found[stamp] = Shot(np.where(np.isfinite(depth) & (depth > 0.0), depth, 0.0), view)
+    return found
