@@ -130,7 +130,8 @@ class Intake:
         while self._ready and (last or self.may_leave(*self._ready[0], now)
                                or len(self._ready) > READY_MAX):
             stamp, number, match = heapq.heappop(self._ready)
-            frame = self._frame(self.stations[number], match) if self.wanted(match) else None
+            frame = self._frame(self.stations[number], match) \
+                if self.wanted(match, number) else None
             self.left(self.stations[number], stamp)
             if frame is not None:
                 yield frame
@@ -139,8 +140,8 @@ class Intake:
         """Whether no camera can have an earlier match than this one of camera *number*."""
         raise NotImplementedError
 
-    def wanted(self, match):
-        """Whether a match that leaves is to become a frame."""
+    def wanted(self, match, number):
+        """Whether a match that leaves, of camera *number*, is to become a frame."""
         return True
 
     def left(self, station, stamp):

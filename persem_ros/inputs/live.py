@@ -123,7 +123,7 @@ class LiveIntake(Intake):
                 return False
         return True
 
-    def wanted(self, match):
+    def wanted(self, match, number):
         """Whether a match is young enough to become a frame."""
         now = self._steady()
         if self._backlog.late(now - match.ready, now, round(self.config.sync.queue * 1e9)):

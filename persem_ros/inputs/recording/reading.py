@@ -1,6 +1,7 @@
-"""One reading of a recording: messages in, frames out, in the order of header stamps."""
+"""One reading of an input: messages in, frames out, in the order of header stamps."""
 
-import heapq
+from collections import Counter
+from dataclasses import replace
 import sys
 
 from persem_ros.errors import PersemError
@@ -8,14 +9,17 @@ from persem_ros.inputs.intake import INFO, Intake, ORDER, POSE, TF
 from persem_ros.inputs.sync.pairing import COLOR, DEPTH, LABELS, TRUTH
 from persem_ros.inputs.sync.poses import PoseBuffer
 
-WINDOW_BYTES = 64 << 20
-PATIENCE = 30.0         # s for poses and labels that come late; waiting costs memory only
+AHEAD = 30.0            # s that poses are read before the images: what one needs is there
 POSES_KEPT = 300.0      # s
+RANKS = {INFO: -1, POSE: -1, TF: -1, **ORDER}
 
 
 class Reading(Intake):
     """
-    One pass over a recording.
+    One pass over an input.
+
+    Messages come sorted by their stamps, so a partner that is not there when its time has passed
+    will not come: whatever waits live is decided here within sync.tolerance, which bounds memory.
 
     Parameters
     ----------
@@ -23,39 +27,50 @@ class Reading(Intake):
         Whose counters this fills.
     truth, color : bool
         Whether those topics are read.
+    first, last : int, optional
+        Stamps of label images that are read, ns.
+    every : int
+        Every how many of each camera's complete frames is used.
 
     """
 
-    def __init__(self, recording, truth=False, color=False):
+    def __init__(self, recording, truth=False, color=False, first=None, last=None, every=1):
         """Set up the queues."""
         config = recording.config
-        super().__init__(config, recording.source.decode, recording.dropped, True, PATIENCE,
-                         PATIENCE)
+        self._tolerance = round(config.sync.tolerance * 1e9)
+        wait = (self._tolerance + 1) / 1e9
+        super().__init__(replace(config, sync=replace(config.sync, max_wait=wait)),
+                         recording.source.decode, recording.dropped, True, 0.0, wait)
         self.examples = recording.examples
         self._recording = recording
-        self._source = recording.source
+        self._bounds, self._every = (first, last), every
+        self._complete = Counter()      # frames by camera
         self._roles = {}        # topic -> [(kind, station or pose buffer)]
         self._buffers = {}      # pose topic -> PoseBuffer
-        self._window = Window(round(config.sync.max_wait * 1e9), WINDOW_BYTES)
+        self._front = -sys.maxsize      # stamp of what was read last
         companions = [kind for kind, wanted in ((TRUTH, truth), (COLOR, color)) if wanted]
         for name, chosen in recording.topics.items():
             self._add_camera(name, chosen, [k for k in companions if k in chosen])
 
     def frames(self):
         """Yield the frames; the recording's counters follow."""
-        now = 0
-        for topic, kind, time, data in self._source.messages(set(self._roles)):
-            now = max(now, time)
+        for topic, kind, stamp, data in self._messages():
+            self._front = stamp
             for role, taker in self._roles[topic]:
-                self.take(role, taker, kind, now, data)
-            yield from self.leaving(now)
-        self._push(self._window.flush(), now)
-        yield from self.leaving(now, True)
+                self.take(role, taker, kind, stamp, data)
+            yield from self.leaving(stamp)
+        self._front = sys.maxsize
+        yield from self.leaving(self._front, True)
         self._conclude()
 
     def may_leave(self, stamp, number, match, now):
-        """Whether the window and the other cameras have only later images."""
+        """Whether the other cameras have only later images."""
         return len(self.stations) == 1 or stamp < self.oldest_pending(sys.maxsize)
+
+    def wanted(self, match, number):
+        """Whether it is the turn of a match, of camera *number*, to become a frame."""
+        self._complete[number] += 1
+        return (self._complete[number] - 1) % self._every == 0
 
     def left(self, station, stamp):
         """Forget the poses that only earlier frames would ask for."""
@@ -64,20 +79,31 @@ class Reading(Intake):
     def oldest_pending(self, default):
         """Return the earliest stamp that may still come."""
         pending = super().oldest_pending(default)
-        return pending if len(self.stations) == 1 else min(pending, self._window.front)
-
-    def push_image(self, station, role, stamp, raw, now):
-        """Let an image wait in the window until those before it have come."""
-        self._push(self._window.push(stamp, ORDER[role], now, len(raw.data),
-                                     (station, role, stamp, raw)), now)
+        return pending if len(self.stations) == 1 else min(pending, self._front)
 
     def no_mount(self, sentence):
         """Refuse poses that never lead to the camera."""
         raise PersemError(f'{self._recording.path}: {sentence}')
 
-    def _push(self, items, now):
-        for station, role, stamp, raw in items:
-            super().push_image(station, role, stamp, raw, now)
+    def _messages(self):
+        """Yield (topic, type, stamp, data) in the order of stamps, poses ahead of the images."""
+        kinds = {topic: {role for role, _ in takers} for topic, takers in self._roles.items()}
+        ahead = round(AHEAD * 1e9)
+        shifts = {topic: -ahead if roles & {POSE, TF} else 0 for topic, roles in kinds.items()}
+        ranks = {topic: max(RANKS[role] for role in roles) for topic, roles in kinds.items()}
+        first, last = self._bounds
+        images = [topic for topic, roles in kinds.items() if not roles & {POSE, TF, INFO}]
+        return self._recording.index.ordered(
+            shifts, ranks, None if first is None else first - self._tolerance,
+            None if last is None else last + self._tolerance, images)
+
+    def push_image(self, station, role, stamp, raw, now):
+        """Hand an image to its synchroniser, a label image only from between the bounds."""
+        first, last = self._bounds
+        if role == LABELS and (first is not None and stamp < first
+                               or last is not None and stamp > last):
+            return
+        super().push_image(station, role, stamp, raw, now)
 
     def _add_camera(self, name, chosen, companions):
         station = self.add_camera(name, self._pose_buffer(chosen), companions)
@@ -103,46 +129,3 @@ class Reading(Intake):
             for key, text in buffer.notes.items():
                 self._recording.note(key, text)
         self.explain()
-
-
-class Window:
-    """
-    Puts images that arrive out of order into stamp order, across a bounded time of arrival.
-
-    Parameters
-    ----------
-    span : int
-        Nanoseconds of arrival that an image is held.
-    max_bytes : int
-        Bound of what is held; the earliest stamps go first.
-
-    """
-
-    def __init__(self, span, max_bytes):
-        """Start empty."""
-        self.front = -sys.maxsize       # stamp of the last image that left
-        self._span = span
-        self._max = max_bytes
-        self._heap = []
-        self._bytes = 0
-        self._count = 0
-
-    def push(self, stamp, order, now, size, item):
-        """Take an item; return those that leave, in order."""
-        self._count += 1
-        heapq.heappush(self._heap, (stamp, order, self._count, now, size, item))
-        self._bytes += size
-        leaving = []
-        while self._heap and (now - self._heap[0][3] >= self._span or self._bytes > self._max):
-            leaving.append(self._pop())
-        return leaving
-
-    def flush(self):
-        """Return everything held, in order."""
-        return [self._pop() for _ in range(len(self._heap))]
-
-    def _pop(self):
-        stamp, _, _, _, size, item = heapq.heappop(self._heap)
-        self._bytes -= size
-        self.front = stamp
-        return item

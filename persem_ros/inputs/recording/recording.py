@@ -6,6 +6,8 @@ from persem_ros.errors import PersemError
 from persem_ros.inputs.assemble import Assembler
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.recording import latched
+from persem_ros.inputs.recording.excerpt import WHOLE
+from persem_ros.inputs.recording.index import Index
 from persem_ros.inputs.recording.reading import Reading
 from persem_ros.inputs.recording.source import Source
 from persem_ros.inputs.recording.topics import Choice
@@ -19,20 +21,23 @@ class Recording:
     Parameters
     ----------
     path : str or Path
-        A rosbag2 folder (mcap or sqlite3, compressed or not), or a single .mcap or .db3 file.
+        A rosbag2 folder (mcap or sqlite3, compressed or not), or a single .mcap or .db3 file;
+        'A+B' is one input in two recordings.
     config : persem_ros.settings.config.Config
         The settings topics.*, cameras.*, pose.*, frames.map, sync.* and camera.*.
     source : Source, optional
         The recording, where it is open already; it is closed with this.
+    excerpt : Excerpt
+        Which of the frames are used.
 
     Attributes
     ----------
     path : Path
         The same.
+    name : str
+        A short name for people.
     topics : dict of str to dict of str to TopicInfo
         What is used, by camera ('' where there is only one) and kind.
-    expected : int
-        Number of label images, for progress; frames may be fewer.
     dropped : collections.Counter
         Of the last reading: messages that were not used, by reason. Reasons without a colon
         count label images; others start with the kind of message.
@@ -46,19 +51,20 @@ class Recording:
 
     """
 
-    def __init__(self, path, config, source=None):
+    def __init__(self, path, config, source=None, excerpt=WHOLE):
         """Open the recording, choose topics, read static transforms and camera infos."""
         self.source = source or Source(path)
-        self.path = self.source.path
+        self.path, self.name = self.source.path, self.source.name
+        self.excerpt = excerpt
         self.config = config
         self.dropped = Counter()
         self.examples = {}
         self._notes = {}
+        self._index = self._bounds = None
         try:
             self.choice = Choice(self.source, config)
             self.choice.check()
             self.topics = self.choice.cameras
-            self.expected = sum(chosen['labels'].count for chosen in self.topics.values())
             self._latched = latched.read(self.source, self.choice)
             self.infos = self._read_infos()
         except BaseException:
@@ -92,6 +98,39 @@ class Recording:
         """Return the static transforms: a list of (T_parent_child, parent, child)."""
         return self._latched.statics
 
+    @property
+    def index(self):
+        """Return the Index of everything that a reading may use, made when it is first asked."""
+        if self._index is None:
+            used = {topic for chosen in self.topics.values() for topic in chosen.values()}
+            used |= set(self.choice.tf)
+            self._index = Index(self.source, {topic.name for topic in used})
+            there = self._index.counts()
+            for topic in sorted(used):
+                if there.get(topic.name, 0) < topic.count:
+                    self.note(topic.name, f'{topic.name}: {there.get(topic.name, 0)} of '
+                              f'{topic.count} messages can be read')
+        return self._index
+
+    @property
+    def bounds(self):
+        """Return the stamps of the first and last label image of the excerpt, ns; or None."""
+        if self._bounds is None:
+            first = None
+            if self.excerpt.needs_first:
+                found = next(Reading(self).frames(), None)
+                first = found and found.stamp
+            self._bounds = self.excerpt.bounds(first)
+        return self._bounds
+
+    @property
+    def expected(self):
+        """Return the number of label images, for progress; frames may be fewer."""
+        if self.excerpt == WHOLE:
+            return sum(chosen['labels'].count for chosen in self.topics.values())
+        names = {chosen['labels'].name for chosen in self.topics.values()}
+        return -(-self.index.between(names, *self.bounds) // self.excerpt.every)
+
     def has(self, kind):
         """Return whether any camera has the optional topic 'truth' or 'color'."""
         return any(kind in chosen for chosen in self.topics.values())
@@ -116,10 +155,10 @@ class Recording:
             When the whole recording gave no frame: why, in one sentence.
 
         """
+        bounds, used = self.bounds, 0
         self.dropped = Counter()
         self.examples = {}
-        used = 0
-        for frame in Reading(self, truth, color).frames():
+        for frame in Reading(self, truth, color, *bounds, self.excerpt.every).frames():
             used += 1
             yield frame
         if not used:
@@ -131,6 +170,9 @@ class Recording:
 
     def _nothing(self):
         """Return the sentence that says why no frame could be made."""
+        if self.excerpt != WHOLE and not self.expected:
+            names = {chosen['labels'].name for chosen in self.topics.values()}
+            return f'{self.path}: {self.excerpt.outside(*self.index.span(names))}'
         reasons = [(n, reason) for reason, n in self.dropped.items() if reason != UNUSED]
         if not reasons:
             return f'{self.path} has no label images that could make a frame'

@@ -120,7 +120,8 @@ class Source:
         kinds = {'mcap' if isinstance(file, McapFile) else 'sqlite3' for file in self._files}
         return ' and '.join(sorted(kinds)) + (', compressed files' if self._packed else '')
 
-    def messages(self, names: Collection[str]) -> Iterator[tuple[str, str, int, bytes]]:
+    def messages(self, names: Collection[str], start: int | None = None,
+                 stop: int | None = None) -> Iterator[tuple[str, str, int, bytes]]:
         """
         Read messages in the order of the files.
 
@@ -128,6 +129,8 @@ class Source:
         ----------
         names : collection of str
             Topics.
+        start, stop : int, optional
+            Only what was recorded from *start* until before *stop*, nanoseconds.
 
         Yields
         ------
@@ -142,6 +145,8 @@ class Source:
 
         """
         for head in self.heads(names):
+            if start is not None and head.time < start or stop is not None and head.time >= stop:
+                continue
             data = self.read(head.file, head.place)
             if data:
                 yield head.topic, head.msgtype, head.time, data
