@@ -119,10 +119,12 @@ def memory_use(big):
     total = sum(sizes.values())
     n, voxels = stored_observations(memory), memory.n_voxels
     per_observation = sizes['histories'] / n
-    per_voxel = (total - sizes['histories']) / voxels
+    offsets = sizes['offsets'] / n
+    per_voxel = (total - sizes['histories'] - sizes['offsets']) / voxels
     budget = 16 * n + 160 * voxels
     return [row('memory: histories per observation', f'{per_observation:.1f} bytes', '<= 16',
                 per_observation <= 16),
+            row('memory: offsets of the points per observation', f'{offsets:.1f} bytes', '', None),
             row('memory: everything else per voxel', f'{per_voxel:.0f} bytes', '<= 160',
                 per_voxel <= 160),
             row('memory: the map in all', f'{total / 1e6:.0f} MB',

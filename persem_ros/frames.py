@@ -86,6 +86,9 @@ class Frame:
         True ids on the labels' grid.
     color : ndarray, shape (., ., 3), uint8, optional
         RGB, any size.
+    T_body_camera : ndarray, shape (4, 4), float64, optional
+        The camera's mount: maps its points to the frame that the poses place; None: the poses
+        place the camera itself.
 
     """
 
@@ -99,3 +102,4 @@ class Frame:
     encoding: str = 'mono16'
     truth: np.ndarray = None
     color: np.ndarray = None
+    T_body_camera: np.ndarray = None

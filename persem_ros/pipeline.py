@@ -34,8 +34,10 @@ class Pipeline:
     def observe(self, frame):
         """Return what a frame (persem_ros.frames.Frame) says about each voxel it sees."""
         labels = images.counted_labels(frame, self.config.memory)
-        return gather(*self._placed(frame), labels, self.config.memory.min_pixels, frame.stamp,
-                      frame.T_map_camera, frame.sensor)
+        offsets = np.empty(frame.depth.size, np.int32)
+        return gather(*self._placed(frame, offsets), labels, self.config.memory.min_pixels,
+                      frame.stamp, frame.T_map_camera, frame.sensor, offsets,
+                      frame.T_body_camera)
 
     def add(self, frame):
         """Integrate a frame; return its Observations."""
@@ -67,10 +69,10 @@ class Pipeline:
             return voxel_image(self.memory, observations, shape)
         return voxel_image_of(self.memory, *self._placed(frame), shape)
 
-    def _placed(self, frame):
+    def _placed(self, frame, offsets=None):
         """Return the voxels of the frame's pixels."""
         return images.placed(frame, self.config.memory, self.memory.voxel_size,
-                             self.memory.origin)
+                             self.memory.origin, offsets)
 
     @property
     def unknown(self):

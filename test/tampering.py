@@ -30,14 +30,16 @@ def renew(path):
     with closing(sqlite3.connect(path)) as db:
         db.set_progress_handler(lambda: 1, 10_000_000)      # a view may be endless
         about = dict(db.execute('SELECT name, value FROM about'))
-        about.pop('crc', None)
-        frames = list(db.execute('SELECT * FROM frames ORDER BY row'))
-        classes = list(db.execute('SELECT * FROM classes ORDER BY id'))
-        db.execute("UPDATE about SET value = ? WHERE name = 'crc'",
-                   (rows._crc(*sorted(about.items()), *frames, *classes),))
+        tables = {name: list(db.execute(f'SELECT * FROM {name} ORDER BY {rows.ORDER[name]}'))
+                  for name in ('sessions', 'mounts', 'frames', 'classes')}
+        if 'frames_crc' in about:
+            about['frames_crc'] = rows.crc_of(tables['frames'])
+        for name, value in (('frames_crc', about.get('frames_crc')),
+                            ('crc', rows.crc_of(rows.about_rows(about, tables)))):
+            db.execute('UPDATE about SET value = ? WHERE name = ?', (value, name))
         place = rows.NAMES['blocks'].index('crc')
         for number, *row in list(db.execute('SELECT rowid, * FROM blocks')):
-            crc = rows._crc((*row[:place], *row[place + 1:]))
+            crc = rows.crc_of([(*row[:place], *row[place + 1:])])
             db.execute('UPDATE blocks SET crc = ? WHERE rowid = ?', (crc, number))
         db.commit()
 
@@ -106,12 +108,12 @@ def _about(db, rng):
 
 
 def _cell(db, rng):
-    """Change a single value of the tables frames, classes and blocks."""
-    table = rng.choice(('frames', 'classes', 'blocks'))
+    """Change a single value of the tables of frames, sessions, mounts, classes and blocks."""
+    table = rng.choice(('frames', 'frames', 'sessions', 'mounts', 'classes', 'blocks'))
     name = rng.choice(rows.NAMES[table])
-    value = _value(rng)
-    which = rng.choice(list(db.execute(f'SELECT rowid FROM {table}')))[0]
-    db.execute(f'UPDATE {table} SET {name} = ? WHERE rowid = ?', (value, which))
+    value, key = _value(rng), 'sensor' if table == 'mounts' else 'rowid'
+    which = rng.choice(list(db.execute(f'SELECT {key} FROM {table}')))[0]
+    db.execute(f'UPDATE {table} SET {name} = ? WHERE {key} = ?', (value, which))
     return table, name, repr(value)[:40]
 
 

@@ -131,13 +131,14 @@ def _nearest(memory, point):
 def _frames_line(saved):
     """Return when and by what the map was made."""
     from datetime import datetime, timezone
-    if not saved.frames:
+    import numpy as np
+    if not len(saved.frames):
         return 'no frames'
-    stamps = [frame.stamp for frame in saved.frames]
+    stamps = saved.frames.stamp.tolist()
     first, last = (datetime.fromtimestamp(stamp / 1e9, timezone.utc).isoformat(
         ' ', 'seconds').replace('+00:00', ' UTC') for stamp in (min(stamps), max(stamps)))
-    sensors = sorted({frame.sensor for frame in saved.frames if frame.sensor})
-    sessions = len({frame.session for frame in saved.frames})
+    sensors = sorted(name for name in saved.frames.sensors if name)
+    sessions = len(np.unique(saved.frames.session))
     return (f'{len(stamps)} frames from {first} to {last}, {sessions} '
             f'session{"s" if sessions > 1 else ""}'
             + (f', cameras {", ".join(sensors)}' if sensors else ''))

@@ -95,7 +95,8 @@ class Assembler:
                 except BadMessage as fault:
                     faults.append(fault)
         return Frame(match.stamp, labels, depth, view, match.T_map_camera, self._sensor,
-                     messages.frame_id(label_msg), encoding, **companions), faults
+                     messages.frame_id(label_msg), encoding, T_body_camera=match.T_body_camera,
+                     **companions), faults
 
     def seen(self, depth_msg) -> tuple[NDArray[np.float64], Camera]:
         """Return depth (H, W), metres along the optical axis, and camera of a depth message."""

@@ -17,9 +17,14 @@ def content(memory):
     columns = memory.voxels()
     numbers = columns.pop('number')
     codes, entropy, rate = (a[numbers].tobytes() for a in regions(memory))
-    rows = [(memory.evidence(v), [a.tobytes() for a in memory.history(v)])
+    rows = [(memory.evidence(v), [a.tobytes() for a in (*memory.history(v), *memory.sightings(v))])
             for v in columns['voxel']]
-    frames = [(f.t, f.session, f.sensor, f.stamp, f.T_map_sensor.tolist()) for f in memory.frames]
+    frames = [(f.t, f.session, f.sensor, f.stamp, f.T_map_sensor.tolist(), f.T_map_best.tolist())
+              for f in memory.frames]
+    frames.append([(n, s.uuid, {k: T.tolist() for k, T in s.mounts.items()})
+                   for n, s in memory.frames.sessions.items()])
+    records = memory.m.voxels[numbers]
+    columns['first_label'], columns['gone'] = records['first_label'], records['gone']
     rho = None if memory.rho is None else memory.rho.tobytes()
     return ({k: a.tobytes() for k, a in columns.items()}, rows, frames, rho, codes, entropy, rate,
             memory.volatility().tobytes(), memory.n_observations, memory.voxel_size,

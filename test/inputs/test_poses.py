@@ -4,7 +4,7 @@ from hypothesis import given, strategies as st
 import numpy as np
 from persem_ros.core.transforms import inverse, matrix_to_quaternion, slerp, transform
 from persem_ros.errors import PersemError
-from persem_ros.inputs.sync.poses import NO_MOUNT, NO_POSE, POSE_GAP, PoseBuffer
+from persem_ros.inputs.sync.poses import Lookup, NO_MOUNT, NO_POSE, POSE_GAP, PoseBuffer
 from persem_ros.settings.config import Config, updated
 import pytest
 
@@ -53,15 +53,15 @@ def test_slerp_is_not_lerp():
 
 def test_nothing_is_extrapolated():
     buffer = filled()
-    assert buffer.lookup(at(0.201), 'camera') == (None, False, NO_POSE)     # may still come
-    assert buffer.lookup(at(-0.001), 'camera') == (None, True, NO_POSE)     # never will
-    assert PoseBuffer(Config()).lookup(at(0), 'camera') == (None, False, NO_POSE)
+    assert buffer.lookup(at(0.201), 'camera') == Lookup(None, False, NO_POSE)     # may still come
+    assert buffer.lookup(at(-0.001), 'camera') == Lookup(None, True, NO_POSE)     # never will
+    assert PoseBuffer(Config()).lookup(at(0), 'camera') == Lookup(None, False, NO_POSE)
 
 
 def test_gaps():
     buffer = filled(stamps=(0.0, 0.5, 1.0 + 2e-9))
     np.testing.assert_allclose(buffer.lookup(at(0.25), 'camera').T, turn(25, 2.5), atol=1e-9)
-    assert buffer.lookup(at(0.75), 'camera') == (None, True, POSE_GAP)
+    assert buffer.lookup(at(0.75), 'camera') == Lookup(None, True, POSE_GAP)
     assert filled({'pose.max_gap': 0.6}, (0.0, 0.5, 1.0 + 2e-9)).lookup(
         at(0.75), 'camera').T is not None
 
@@ -82,7 +82,7 @@ def test_one_pose_that_is_hours_ahead_costs_nothing():
     buffer = filled()
     buffer.add(at(10_800), turn(0), 'map', '')
     buffer.add(at(0.3), turn(30, 3), 'map', '')
-    assert buffer.lookup(at(0.35), 'camera') == (None, False, POSE_GAP)     # the next may come
+    assert buffer.lookup(at(0.35), 'camera') == Lookup(None, False, POSE_GAP)  # the next may come
     buffer.add(at(0.4), turn(40, 4), 'map', '')
     np.testing.assert_allclose(buffer.lookup(at(0.35), 'camera').T, turn(35, 3.5), atol=1e-12)
 
@@ -102,7 +102,7 @@ def test_forgetting_keeps_what_the_next_frame_needs():
     assert buffer.lookup(at(0.16), 'c').T is not None
     assert buffer.lookup(at(0.05), 'c').T is None
     buffer.clear()
-    assert buffer.lookup(at(0.16), 'c') == (None, False, NO_POSE)
+    assert buffer.lookup(at(0.16), 'c') == Lookup(None, False, NO_POSE)
 
 
 MOUNT = transform([0.2, 0.0, -0.1], np.array([0.5, -0.5, 0.5, -0.5]))
@@ -156,7 +156,7 @@ def test_an_extrinsic_that_is_no_rotation_is_refused():
 def test_an_unknown_mounting_is_said_with_the_flags_that_help():
     buffer = filled(child='base_link')
     buffer.add_static(MOUNT, 'base_link', 'lidar')
-    assert buffer.lookup(at(0.1), 'camera') == (None, False, NO_MOUNT)
+    assert buffer.lookup(at(0.1), 'camera') == Lookup(None, False, NO_MOUNT)
     sentence = buffer.mount_sentence('camera')
     for part in ('base_link', 'camera', 'base_link -> lidar', '--set pose.extrinsic=',
                  '--set pose.child_frame=camera'):
@@ -195,10 +195,10 @@ def test_every_moving_transform_is_interpolated_by_itself():
 def test_tf_waits_for_the_slowest_and_knows_gaps():
     buffer = tf_buffer()
     buffer.add_tf(at(0.45), turn(0), 'odom', 'base_link')
-    assert buffer.lookup(at(0.42), 'camera') == (None, False, NO_POSE)
+    assert buffer.lookup(at(0.42), 'camera') == Lookup(None, False, NO_POSE)
     buffer.add_tf(at(2.0), turn(0), 'map', 'odom')
-    assert buffer.lookup(at(0.42), 'camera') == (None, True, POSE_GAP)
-    assert buffer.lookup(at(0.1), 'nowhere') == (None, False, NO_POSE)
+    assert buffer.lookup(at(0.42), 'camera') == Lookup(None, True, POSE_GAP)
+    assert buffer.lookup(at(0.1), 'nowhere') == Lookup(None, False, NO_POSE)
     assert "from 'map' to 'nowhere'" in buffer.explain(at(0.1), 'nowhere')
     assert 'base_link -> camera, map -> odom, odom -> base_link' in buffer.explain(at(0), 'x')
 
@@ -244,3 +244,12 @@ def test_against_a_plain_search(stamps, asked):
     assert (found.T is not None) == inside
     if inside:
         assert found.T[0, 3] == pytest.approx(asked)
+
+
+def test_a_pose_comes_with_the_mount_of_the_camera():
+    assert filled().lookup(at(0.1), 'camera').mount.tolist() == np.eye(4).tolist()
+    buffer = filled({'pose.extrinsic': [0.2, 0.0, -0.1, 0.5, -0.5, 0.5, -0.5]}, child='body')
+    found = buffer.lookup(at(0.1), 'camera')
+    assert found.mount[:3, 3].tolist() == [0.2, 0.0, -0.1]
+    placed = turn(10, 1.0) @ found.mount
+    np.testing.assert_allclose(found.T, placed, atol=1e-9)

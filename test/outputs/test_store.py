@@ -36,8 +36,11 @@ def plain(memory):
     """Return all that a memory or a dump knows as comparable values."""
     saved = memory if dataclasses.is_dataclass(memory) else dump(memory)
     values = {field.name: getattr(saved, field.name) for field in dataclasses.fields(saved)}
-    values['frames'] = [(f.t, f.session, f.sensor, f.stamp, f.T_map_sensor.tolist())
-                        for f in saved.frames]
+    values['frames'] = [(f.t, f.session, f.sensor, f.stamp, f.T_map_sensor.tolist(),
+                         f.T_map_best.tolist()) for f in saved.frames]
+    values['sessions'] = {number: (session.uuid, {name: T.tolist() for name, T in
+                                                  session.mounts.items()})
+                          for number, session in saved.frames.sessions.items()}
     return {name: (str(value.dtype), value.tolist()) if isinstance(value, np.ndarray) else value
             for name, value in values.items()}
 
@@ -176,7 +179,8 @@ def test_flipped_bytes_are_found_or_do_no_harm(path, memory):
 
 
 @pytest.mark.parametrize(('column', 'place', 'value'), [
-    ('cell', 0, 512), ('label', 1, 65535), ('history_t', 0, -1), ('source', 0, 4),
+    ('cell', 0, 512), ('label', 1, 65535), ('history_frame', 0, -1),
+    ('history_frame', 0, 12), ('source', 0, 4), ('gone', 0, 2), ('first_label', 0, 65535),
     ('observations', 0, 0), ('evidence_sum', 0, float('nan')), ('evidence_sum', 0, 0.0)])
 def test_columns_that_contradict_each_other_are_refused(path, memory, column, place, value):
     # a file with right checksums must not make the kernels write beside the pools

@@ -6,7 +6,6 @@ import sqlite3
 
 import core_worlds as cw
 import numpy as np
-from persem_ros.core.memory.dump import dump
 from persem_ros.core.refine.job import refine
 from persem_ros.errors import PersemError
 from persem_ros.outputs.map import store
@@ -77,10 +76,10 @@ def test_a_block_twice(whole, tmp_path):
     assert 'a block twice' in refusal(path)
 
 
-def test_times_beyond_the_frame_table(whole, tmp_path):
-    times = store.load(whole).saved.history_t
-    path = changed(tmp_path / 'm.persem', whole, history_t=np.full_like(times, 12))
-    assert '(times)' in refusal(path)
+def test_frames_beyond_the_frame_table(whole, tmp_path):
+    frames = store.load(whole).saved.history_frame
+    path = changed(tmp_path / 'm.persem', whole, history_frame=np.full_like(frames, 12))
+    assert '(frames of a history)' in refusal(path)
 
 
 @pytest.mark.parametrize('value', [np.nan, np.inf, -1.0, 0.0, 1.5])
@@ -125,7 +124,7 @@ def test_t_does_not_wrap():
     memory = cw.core_of([(1, {(0, 0, 0): (1, 1.0)}, [])])
     memory._next_t = 2 ** 31 - 1
     memory.add(cw.observations(2, {(0, 0, 0): (1, 1.0)}))
-    assert dump(memory).history_t.tolist() == [0, 2 ** 31 - 1]
+    assert memory.history((0, 0, 0))[2].tolist() == [0, 2 ** 31 - 1]
     with pytest.raises(PersemError, match='as many frames as it can number'):
         memory.add(cw.observations(3, {(0, 0, 0): (1, 1.0)}))
-    assert dump(memory).history_t.tolist() == [0, 2 ** 31 - 1]
+    assert memory.history((0, 0, 0))[2].tolist() == [0, 2 ** 31 - 1]

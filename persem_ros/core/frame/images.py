@@ -35,9 +35,11 @@ def counted_labels(frame, settings):
     return counted(resampled(frame.labels, frame.depth.shape), settings).reshape(-1)
 
 
-def placed(frame, settings, voxel_size, origin):
+def placed(frame, settings, voxel_size, origin, offsets=None):
     """
     Return the voxels of a frame's pixels as (keys, base) of core.frame.observe.place().
+
+    offsets, too, is as there.
 
     The same as place(backprojected(...)), without the points in between: that is a twelfth of
     the time of integrating a frame.
@@ -47,8 +49,9 @@ def placed(frame, settings, voxel_size, origin):
     rays = np.require(frame.camera.rays, np.float64, 'CW')
     pose, base = placing(frame.T_map_camera, voxel_size, origin)
     keys = np.empty(depth.shape, np.int64)
+    offsets = np.empty((0, 0), np.int32) if offsets is None else offsets.reshape(depth.shape)
     split(_place, depth.shape[0], depth, rays, float(settings.min_depth),
-          float(settings.max_depth), pose, base, float(voxel_size), keys, grain=64)
+          float(settings.max_depth), pose, base, float(voxel_size), keys, offsets, grain=64)
     return keys.reshape(-1), base.astype(np.int64)
 
 
@@ -122,14 +125,18 @@ def _count(begin, end, labels, table, out):
 
 
 @kernel
-def _place(begin, end, depth, rays, min_depth, max_depth, pose, base, voxel_size, keys):
-    """Write the key of each pixel's voxel in rows begin .. end."""
+def _place(begin, end, depth, rays, min_depth, max_depth, pose, base, voxel_size, keys, offsets):
+    """Write the key of each pixel's voxel in rows begin .. end, and its place there."""
+    measured = len(offsets) > 0
     for v in range(begin, end):
         for u in range(depth.shape[1]):
             d = depth[v, u]
             if not (min_depth <= d <= max_depth and d > 0.0):
                 d = np.nan
-            keys[v, u] = key_of(rays[v, u, 0] * d, rays[v, u, 1] * d, d, pose, base, voxel_size)
+            key, offset = key_of(rays[v, u, 0] * d, rays[v, u, 1] * d, d, pose, base, voxel_size)
+            keys[v, u] = key
+            if measured:
+                offsets[v, u] = offset
 
 
 @kernel

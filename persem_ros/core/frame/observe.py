@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from persem_ros.core.jit import inlined, kernel, split
+from persem_ros.core.memory.pools import CENTRE
 from persem_ros.errors import PersemError
 from persem_ros.frames import MAX_ID, UNKNOWN
 
@@ -13,6 +14,7 @@ STRIPE = 21 + 4             # bit of a key: 16 voxels along y
 MIX = np.uint64(0x9E3779B97F4A7C15)     # Fibonacci hashing
 REACH = 1 << 20             # farthest voxel from the sensor's own, along each axis
 LIMIT = 2.0 ** 31 - 2.0 ** 21           # voxel indices are int32, with room for the reach
+MOST_OFFSETS = 1 << 24  # points of a frame; the sums of more offsets might not fit 32 bits
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +39,11 @@ class Observations:
         Nanoseconds.
     T_map_sensor : ndarray, shape (4, 4), float64
     sensor : str
+    offsets : ndarray, shape (n, 3), uint8, optional
+        Mean place of the counted points in the voxel, in 256ths of its edge from its lowest
+        corner; None: not known, taken for the middle.
+    T_body_sensor : ndarray, shape (4, 4), float64, optional
+        The sensor's mount on what the pose topic places; None: the sensor itself is placed.
 
     """
 
@@ -48,6 +55,8 @@ class Observations:
     stamp: int
     T_map_sensor: np.ndarray
     sensor: str
+    offsets: np.ndarray = None
+    T_body_sensor: np.ndarray = None
 
 
 def observe(points, labels, T_map_sensor, voxel_size, min_pixels=1, origin=(0.0, 0.0, 0.0),
@@ -76,25 +85,35 @@ def observe(points, labels, T_map_sensor, voxel_size, min_pixels=1, origin=(0.0,
         Name of the sensor.
 
     """
-    return gather(*place(points, T_map_sensor, voxel_size, origin), labels, min_pixels, stamp,
-                  T_map_sensor, sensor)
+    offsets = np.empty(np.size(points) // 3, np.int32)
+    keys, base = place(points, T_map_sensor, voxel_size, origin, offsets)
+    return gather(keys, base, labels, min_pixels, stamp, T_map_sensor, sensor, offsets)
 
 
-def gather(keys, base, labels, min_pixels, stamp, T_map_sensor, sensor):
+def gather(keys, base, labels, min_pixels, stamp, T_map_sensor, sensor, offsets=None,
+           T_body_sensor=None):
     """Return the Observations of placed points; parameters as in observe() and place()."""
+    if offsets is None or len(keys) > MOST_OFFSETS:
+        offsets = np.empty(0, np.int32)
     labels = np.require(labels, np.int32, 'CW').reshape(-1)
     where = np.empty(len(keys), np.int32)
-    halves = sum(split(_halves, 2, keys, base, labels, int(min_pixels), where, grain=1), [])
-    voxels, best, confidence = (np.concatenate(parts) for parts in list(zip(*halves))[:3])
+    halves = sum(split(_halves, 2, keys, base, labels, offsets, int(min_pixels), where,
+                       grain=1), [])
+    voxels, best, confidence, means = (np.concatenate(parts)
+                                       for parts in list(zip(*halves))[:4])
     split(_join, len(where), len(halves[0][0]), where, grain=65536)
     return Observations(voxels, best, confidence, where,
-                        np.flatnonzero(halves[0][3] | halves[1][3]).astype(np.uint16),
-                        int(stamp), np.array(T_map_sensor, np.float64), sensor)
+                        np.flatnonzero(halves[0][4] | halves[1][4]).astype(np.uint16),
+                        int(stamp), np.array(T_map_sensor, np.float64), sensor, means,
+                        T_body_sensor)
 
 
-def place(points, T_map_sensor, voxel_size, origin=(0.0, 0.0, 0.0)):
+def place(points, T_map_sensor, voxel_size, origin=(0.0, 0.0, 0.0), offsets=None):
     """
     Return the voxel of each point as (keys, base); parameters as in observe().
+
+    offsets (N,) int32, where it is given, receives each point's place in its voxel: 256ths of
+    the edge along x, y and z, 8 bits each, x highest.
 
     Returns
     -------
@@ -107,7 +126,8 @@ def place(points, T_map_sensor, voxel_size, origin=(0.0, 0.0, 0.0)):
     points = np.require(points, np.float64, 'CW').reshape(-1, 3)
     pose, base = placing(T_map_sensor, voxel_size, origin)
     keys = np.empty(len(points), np.int64)
-    split(locate, len(points), points, pose, base, float(voxel_size), keys, grain=32768)
+    offsets = np.empty(0, np.int32) if offsets is None else offsets
+    split(locate, len(points), points, pose, base, float(voxel_size), keys, offsets, grain=32768)
     return keys, base.astype(np.int64)
 
 
@@ -132,10 +152,15 @@ def placing(T_map_sensor, voxel_size, origin):
 
 
 @kernel
-def locate(start, stop, points, pose, base, voxel_size, keys):
-    """Write the key of each point's voxel."""
-    for p in range(start, stop):
-        keys[p] = key_of(points[p, 0], points[p, 1], points[p, 2], pose, base, voxel_size)
+def locate(start, stop, points, pose, base, voxel_size, keys, offsets):
+    """Write the key of each point's voxel, and its place there where offsets has room."""
+    if len(offsets) == 0:
+        for p in range(start, stop):
+            keys[p] = key_of(points[p, 0], points[p, 1], points[p, 2], pose, base, voxel_size)[0]
+    else:
+        for p in range(start, stop):
+            keys[p], offsets[p] = key_of(points[p, 0], points[p, 1], points[p, 2], pose, base,
+                                         voxel_size)
 
 
 @inlined
@@ -144,21 +169,31 @@ def key_of(x, y, z, pose, base, voxel_size):
     Return the voxel of a point, floor((R p + t) / voxel_size) per axis (spec section 1).
 
     Three indices relative to the sensor's own voxel in one integer, 21 bits each; NOWHERE for a
-    point without a place (NaN, or a million voxels away).
+    point without a place (NaN, or a million voxels away). Beside it the point's place in the
+    voxel, three times 8 bits (see place()).
 
     """
     reach = np.float64(REACH)
-    i = np.floor((pose[0] * x + pose[1] * y + pose[2] * z + pose[9]) / voxel_size) - base[0]
-    j = np.floor((pose[3] * x + pose[4] * y + pose[5] * z + pose[10]) / voxel_size) - base[1]
-    k = np.floor((pose[6] * x + pose[7] * y + pose[8] * z + pose[11]) / voxel_size) - base[2]
+    a = (pose[0] * x + pose[1] * y + pose[2] * z + pose[9]) / voxel_size
+    b = (pose[3] * x + pose[4] * y + pose[5] * z + pose[10]) / voxel_size
+    c = (pose[6] * x + pose[7] * y + pose[8] * z + pose[11]) / voxel_size
+    low_a, low_b, low_c = np.floor(a), np.floor(b), np.floor(c)
+    i, j, k = low_a - base[0], low_b - base[1], low_c - base[2]
     if abs(i) < reach and abs(j) < reach and abs(k) < reach:    # false for NaN
-        return (np.int64(i + reach) << 42) | (np.int64(j + reach) << 21) | np.int64(k + reach)
-    return NOWHERE
+        key = (np.int64(i + reach) << 42) | (np.int64(j + reach) << 21) | np.int64(k + reach)
+        # min: a hair below zero is, less its floor, 1.0
+        offset = (np.int32(min((a - low_a) * 256.0, 255.0)) << 16) \
+            | (np.int32(min((b - low_b) * 256.0, 255.0)) << 8) \
+            | np.int32(min((c - low_c) * 256.0, 255.0))
+        return key, np.int32(offset)
+    return NOWHERE, np.int32(0)
 
 
 # What is known of a voxel while a frame's points are counted: its place, its first id with the
-# number of points, and where the list of further ids begins. One record, one cache line.
-TALLY = np.dtype([('key', 'i8'), ('id', 'i4'), ('count', 'i4'), ('more', 'i4'), ('pad', 'i4')])
+# number of points, where the list of further ids begins, and the sums of the counted points'
+# offsets. Two records to a cache line.
+TALLY = np.dtype([('key', 'i8'), ('id', 'i4'), ('count', 'i4'), ('more', 'i4'), ('x', 'u4'),
+                  ('y', 'u4'), ('z', 'u4')])
 EXTRA = np.dtype([('id', 'i4'), ('count', 'i4'), ('more', 'i4')])
 
 
@@ -168,7 +203,7 @@ def _halves(begin, end, *arguments):
 
 
 @kernel
-def group(half, keys, base, labels, min_pixels, where):
+def group(half, keys, base, labels, offsets, min_pixels, where):
     """
     Gather points by voxel and vote: the heart of observe().
 
@@ -187,7 +222,7 @@ def group(half, keys, base, labels, min_pixels, where):
     tallies = np.empty(len(keys), TALLY)
     extras = np.empty(len(keys), EXTRA)
     seen = np.zeros(65536, np.uint8)
-    n, n_extras = 0, 0
+    n, n_extras, measured = 0, 0, len(offsets) > 0
     last, last_key = 0, NOWHERE
     for p in range(len(keys)):
         key = keys[p]
@@ -212,16 +247,22 @@ def group(half, keys, base, labels, min_pixels, where):
                 tallies[g].id = -1
                 tallies[g].count = 0
                 tallies[g].more = -1
+                tallies[g].x = tallies[g].y = tallies[g].z = 0
                 if 10 * n > 7 * len(table):
                     bits -= np.uint64(1)
                     table = _grown(table, bits, tallies, n)
             last, last_key = g, key
         where[p] = g if half == 0 else -2 - g
         c = labels[p]
+        if not 0 <= c <= MAX_ID:
+            continue
+        if measured:
+            tallies[g].x += offsets[p] >> 16
+            tallies[g].y += offsets[p] >> 8 & 255
+            tallies[g].z += offsets[p] & 255
         if c == tallies[g].id:
-            if c >= 0:
-                tallies[g].count += 1
-        elif 0 <= c <= MAX_ID:
+            tallies[g].count += 1
+        else:
             if tallies[g].id < 0:
                 tallies[g].id = c
                 tallies[g].count = 1
@@ -235,8 +276,8 @@ def group(half, keys, base, labels, min_pixels, where):
         voxels[g, 0] = (key >> 42) - REACH + base[0]
         voxels[g, 1] = (key >> 21 & 0x1fffff) - REACH + base[1]
         voxels[g, 2] = (key & 0x1fffff) - REACH + base[2]
-    best, confidence = _vote(np.int64(n), min_pixels, tallies, extras)
-    return voxels, best, confidence, seen
+    best, confidence, means = _vote(np.int64(n), min_pixels, tallies, extras, measured)
+    return voxels, best, confidence, means, seen
 
 
 @inlined
@@ -276,10 +317,11 @@ def _grown(table, bits, tallies, n):
 
 
 @kernel
-def _vote(n, min_pixels, tallies, extras):
-    """Return each voxel's most frequent id (a tie: the smaller) and its share."""
+def _vote(n, min_pixels, tallies, extras, measured):
+    """Return each voxel's most frequent id (a tie: the smaller), its share, the mean offset."""
     best = np.full(n, UNKNOWN, np.uint16)
     confidence = np.zeros(n, np.float32)
+    means = np.full((n, 3), CENTRE, np.uint8)
     for g in range(n):
         total = most = np.int64(tallies[g].count)
         label = np.int64(tallies[g].id)
@@ -293,4 +335,8 @@ def _vote(n, min_pixels, tallies, extras):
         if total >= min_pixels and total > 0:
             best[g] = label
             confidence[g] = np.float32(most / total)
-    return best, confidence
+            if measured:    # rounded, not cut off: the mean of offsets that were cut off
+                means[g, 0] = min((2 * np.int64(tallies[g].x) + total) // (2 * total), 255)
+                means[g, 1] = min((2 * np.int64(tallies[g].y) + total) // (2 * total), 255)
+                means[g, 2] = min((2 * np.int64(tallies[g].z) + total) // (2 * total), 255)
+    return best, confidence, means

@@ -12,18 +12,19 @@ AHEAD = 1024        # observations whose records are fetched at once; they fit t
 
 
 @kernel
-def add_observations(pools, table, places, labels, confidences, t, max_history, rows):
+def add_observations(pools, table, places, labels, confidences, where, f, max_history, rows):
     """
-    Append one frame's observations; rows (n,) int64 receives each one's voxel number or -1.
+    Append the observations of frame f; rows (n,) int64 receives each one's voxel number or -1.
 
     The hash table has room for as many new blocks as there are observations.
 
     """
-    blocks, voxels, links, spills, free, retired, used, starts, changes = pools
+    blocks, voxels, links, spills, offsets, free, retired, used, starts, changes = pools
     added, touched = 0, 0
     for begin in range(0, len(labels), AHEAD):
         end = min(begin + AHEAD, len(labels))
-        touched += look_ahead(blocks, voxels, links, table, places, labels, begin, end, rows)
+        touched += look_ahead(blocks, voxels, links, offsets, table, places, labels, begin, end,
+                              rows)
         for p in range(begin, end):
             c = labels[p]
             if c == UNKNOWN:
@@ -44,7 +45,8 @@ def add_observations(pools, table, places, labels, confidences, t, max_history, 
             number = np.int64(voxel.tail)
             if n % CHUNK == 0 or number == 0:
                 number = new_link(voxel, links, free, used, n)
-            write(links[number - 1], n % CHUNK, c, confidences[p], t)
+            write(links[number - 1], n % CHUNK, c, confidences[p], f)
+            write_offset(offsets[number - 1], n % CHUNK, where[p, 0], where[p, 1], where[p, 2])
             if max_history > 0 and n + 1 - np.int64(voxel.first) >= max_history + CHUNK:
                 drop_oldest(voxel, links, retired, used)
             if not add_here(voxel, c, np.float64(confidences[p])):
@@ -56,6 +58,9 @@ def add_observations(pools, table, places, labels, confidences, t, max_history, 
             if followed:        # what no refinement moved follows the majority
                 voxel.label = voxel.majority
                 voxel.source = 0
+            if n == 0:
+                voxel.first_label = c
+            voxel.gone = 0
             voxel.n = n + 1
             voxel.last = c
     used[OBSERVATIONS] += added
@@ -64,7 +69,7 @@ def add_observations(pools, table, places, labels, confidences, t, max_history, 
 
 
 @inlined
-def look_ahead(blocks, voxels, links, table, places, labels, begin, end, rows):
+def look_ahead(blocks, voxels, links, offsets, table, places, labels, begin, end, rows):
     """
     Find the voxels of observations begin .. end, -1 where new; mark them; fetch their records.
 
@@ -87,7 +92,9 @@ def look_ahead(blocks, voxels, links, table, places, labels, begin, end, rows):
                 mark(blocks[b], i, j, k)
     for p in range(begin, end):
         if rows[p] >= 0:
-            touched += links[np.int64(voxels[rows[p]].tail) - 1].next
+            tail = np.int64(voxels[rows[p]].tail) - 1
+            touched += links[tail].next
+            touched += offsets[tail].xyz[0]
     return touched
 
 
@@ -128,12 +135,21 @@ def take_voxel(voxels, used):
 
 
 @inlined
-def write(link, place, c, s, t):
+def write(link, place, c, s, f):
     """Write an observation to a place of a link."""
-    labels, confidences, times = link.c, link.s, link.t
+    labels, confidences, frames = link.c, link.s, link.f
     labels[place] = c
     confidences[place] = s
-    times[place] = t
+    frames[place] = f
+
+
+@inlined
+def write_offset(record, place, x, y, z):
+    """Write where an observation's points lay in its voxel, in 256ths of an edge."""
+    xyz = record.xyz
+    xyz[3 * place] = x
+    xyz[3 * place + 1] = y
+    xyz[3 * place + 2] = z
 
 
 @inlined

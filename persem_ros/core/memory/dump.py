@@ -4,12 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from persem_ros.core.jit import kernel
-from persem_ros.core.memory.append import new_link, write
+from persem_ros.core.memory.append import new_link, write, write_offset
 from persem_ros.core.memory.blocks import make_block, new_table
 from persem_ros.core.memory.evidence import add_evidence, count_classes, read_evidence
+from persem_ros.core.memory.frame_table import FrameTable
 from persem_ros.core.memory.history import link_of
 from persem_ros.core.memory.pools import CHUNK, OBSERVATIONS, STORED, VOXELS
-from persem_ros.core.memory.voxel_memory import FrameRecord, sort_order, VoxelMemory
+from persem_ros.core.memory.voxel_memory import sort_order, VoxelMemory
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,8 +30,8 @@ class MemoryDump:
         Block b's voxels are rows block_start[b] : block_start[b + 1] of the columns below.
     cell : ndarray, shape (n,), uint16
     observations, switches : ndarray, shape (n,), uint32
-    label, majority, last : ndarray, shape (n,), uint16
-    source, dirty : ndarray, shape (n,), uint8
+    label, majority, last, first_label : ndarray, shape (n,), uint16
+    source, dirty, gone : ndarray, shape (n,), uint8
     evidence_start : ndarray, shape (n + 1,), int64
     evidence_class : ndarray, uint16
     evidence_sum : ndarray, float64
@@ -38,12 +39,15 @@ class MemoryDump:
     history_start : ndarray, shape (n + 1,), int64
     history_label : ndarray, uint16
     history_confidence : ndarray, float32
-    history_t : ndarray, int32
+    history_frame : ndarray, int32
+        Rows of the frame table.
+    history_offset : ndarray, shape (., 3), uint8
+        Where the points lay in the voxel, 256ths of its edge.
     starts, changes : ndarray, shape (65536,), int64
         Class volatility's counters.
     seen_ids : ndarray, shape (65536,), uint8
     rho : ndarray, shape (65536,), float64, or None
-    frames : list of core.memory.voxel_memory.FrameRecord
+    frames : core.memory.frame_table.FrameTable
 
     """
 
@@ -59,20 +63,23 @@ class MemoryDump:
     label: np.ndarray
     majority: np.ndarray
     last: np.ndarray
+    first_label: np.ndarray
     source: np.ndarray
     dirty: np.ndarray
+    gone: np.ndarray
     evidence_start: np.ndarray
     evidence_class: np.ndarray
     evidence_sum: np.ndarray
     history_start: np.ndarray
     history_label: np.ndarray
     history_confidence: np.ndarray
-    history_t: np.ndarray
+    history_frame: np.ndarray
+    history_offset: np.ndarray
     starts: np.ndarray
     changes: np.ndarray
     seen_ids: np.ndarray
     rho: object
-    frames: list
+    frames: FrameTable
 
 
 def dump(memory):
@@ -92,43 +99,46 @@ def dump(memory):
     np.cumsum(evidence_start, out=evidence_start)
     evidence = np.empty(evidence_start[-1], np.uint16), np.empty(evidence_start[-1])
     history = tuple(np.empty(history_start[-1], t) for t in (np.uint16, np.float32, np.int32))
-    _read(pools.voxels, pools.links, pools.spills, number, evidence_start, *evidence,
-          history_start, *history)
+    where = np.empty((history_start[-1], 3), np.uint8)
+    _read(pools.voxels, pools.links, pools.spills, pools.offsets, number, evidence_start,
+          *evidence, history_start, *history, where)
     counts = pools.blocks['count'][order].astype(np.int64)
     return MemoryDump(
         memory.voxel_size, memory.origin, memory.max_history, memory.session,
         pools.blocks['index'][order], np.concatenate([[0], np.cumsum(counts)]),
         cell.astype(np.uint16), observations, records['switches'], records['label'],
-        records['majority'], records['last'], records['source'],
+        records['majority'], records['last'], records['first_label'], records['source'],
         pools.blocks['changed'][block, cell >> 3] >> (cell & 7).astype(np.uint8) & 1,
-        evidence_start, *evidence, history_start, *history, pools.starts.copy(),
-        pools.changes.copy(), memory.seen_ids.copy(),
-        None if memory.rho is None else memory.rho.copy(), list(memory.frames))
+        records['gone'], evidence_start, *evidence, history_start, *history, where,
+        pools.starts.copy(), pools.changes.copy(), memory.seen_ids.copy(),
+        None if memory.rho is None else memory.rho.copy(), memory.frames.copy())
 
 
 def load(saved):
     """Return a VoxelMemory that goes on exactly where the dumped one stood."""
     memory = VoxelMemory(saved.voxel_size, saved.origin, saved.max_history)
     n = len(saved.cell)
-    memory.store.check_room(len(saved.history_t) // CHUNK + 2 * n + len(saved.evidence_sum))
+    memory.store.check_room(len(saved.history_frame) // CHUNK + 2 * n + len(saved.evidence_sum))
     memory.table = new_table(len(saved.block_index) + 512)
     _write(memory.m, memory.table, saved.block_index, saved.block_start, saved.cell,
            saved.observations, saved.evidence_start, saved.evidence_class, saved.evidence_sum,
-           saved.history_start, saved.history_label, saved.history_confidence, saved.history_t)
+           saved.history_start, saved.history_label, saved.history_confidence, saved.history_frame,
+           saved.history_offset)
     voxels = memory.m.voxels[:n]
     for field, column in (('switches', saved.switches), ('label', saved.label),
                           ('majority', saved.majority), ('last', saved.last),
-                          ('source', saved.source)):
+                          ('first_label', saved.first_label), ('source', saved.source),
+                          ('gone', saved.gone)):
         voxels[field] = column
     block = np.repeat(np.arange(len(saved.block_index)), np.diff(saved.block_start))
     _mark_changed(memory.m.blocks, block, saved.cell, saved.dirty)
     memory.m.used[OBSERVATIONS] = int(saved.observations.sum(dtype=np.int64))
-    memory.m.used[STORED] = len(saved.history_t)
+    memory.m.used[STORED] = len(saved.history_frame)
     memory.m.starts[:] = saved.starts
     memory.m.changes[:] = saved.changes
     memory.seen_ids[:] = saved.seen_ids
     memory.rho = None if saved.rho is None else saved.rho.copy()
-    memory.resume([FrameRecord(*vars(frame).values()) for frame in saved.frames], saved.session)
+    memory.resume(saved.frames, saved.session)
     return memory
 
 
@@ -149,8 +159,8 @@ def _class_counts(voxels, spills, number, counts):
 
 
 @kernel
-def _read(voxels, links, spills, number, evidence_start, classes, sums, history_start, labels,
-          confidences, times):
+def _read(voxels, links, spills, offsets, number, evidence_start, classes, sums, history_start,
+          labels, confidences, frames, where):
     """Copy evidence and histories of the voxels to the columns."""
     for r in range(len(number)):
         voxel = voxels[number[r]]
@@ -164,15 +174,18 @@ def _read(voxels, links, spills, number, evidence_start, classes, sums, history_
             record = links[link - 1]
             labels[out] = record.c[i % CHUNK]
             confidences[out] = record.s[i % CHUNK]
-            times[out] = record.t[i % CHUNK]
+            frames[out] = record.f[i % CHUNK]
+            xyz = offsets[link - 1].xyz
+            for axis in range(3):
+                where[out, axis] = xyz[i % CHUNK * 3 + axis]
             out += 1
 
 
 @kernel
 def _write(pools, table, index, block_start, cell, observations, evidence_start, classes, sums,
-           history_start, labels, confidences, times):
+           history_start, labels, confidences, frames, where):
     """Fill empty pools from the columns; voxel numbers become row numbers."""
-    blocks, voxels, links, spills, free, retired, used, starts, changes = pools
+    blocks, voxels, links, spills, offsets, free, retired, used, starts, changes = pools
     for b in range(len(index)):
         made = make_block(blocks, used, table, np.int64(index[b, 0]), np.int64(index[b, 1]),
                           np.int64(index[b, 2]))
@@ -185,8 +198,9 @@ def _write(pools, table, index, block_start, cell, observations, evidence_start,
             for h in range(history_start[v], history_start[v + 1]):
                 if n % CHUNK == 0 or voxels[v].tail == 0:
                     new_link(voxels[v], links, free, used, n)
-                write(links[np.int64(voxels[v].tail) - 1], n % CHUNK, labels[h], confidences[h],
-                      times[h])
+                tail = np.int64(voxels[v].tail) - 1
+                write(links[tail], n % CHUNK, labels[h], confidences[h], frames[h])
+                write_offset(offsets[tail], n % CHUNK, where[h, 0], where[h, 1], where[h, 2])
                 n += 1
             voxels[v].n = n
     used[VOXELS] = len(cell)

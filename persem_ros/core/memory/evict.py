@@ -66,7 +66,7 @@ def drop(memory, numbers):
 @kernel
 def _drop(pools, numbers):
     """Give the records of the blocks back to their pools, zeroed."""
-    blocks, voxels, links, spills, free, retired, used, starts, changes = pools
+    blocks, voxels, links, spills, offsets, free, retired, used, starts, changes = pools
     for b in numbers:
         block = blocks[b]
         cells, near, changed = block.cells, block.near, block.changed
@@ -93,6 +93,7 @@ def _drop(pools, numbers):
             _clear(voxel)
             voxel.n = voxel.switches = voxel.tail = voxel.first = voxel.more = 0
             voxel.majority = voxel.label = voxel.last = voxel.source = 0
+            voxel.first_label = voxel.gone = 0
             voxel.head = used[FIRST_VOXEL]
             used[FIRST_VOXEL] = v + 1
             used[FREE_VOXELS] += 1

@@ -23,6 +23,7 @@ CELLS = SIDE ** 3
 ROWS = SIDE ** 2            # rows of 8 cells along z
 CHUNK = 6                   # observations in a link of a history
 INLINE = 3                  # classes whose evidence lies in the voxel's own record
+CENTRE = 128                # offset of a voxel's middle, 256ths of its edge
 
 # Voxels and links fill one cache line each: adding an observation touches three, its voxel, its
 # link and its block's cell, and costs half of what it did with 72 and 84 bytes.
@@ -38,9 +39,12 @@ VOXEL = np.dtype([
     ('label', 'u2'),                # after refinement
     ('last', 'u2'),                 # label of the newest observation
     ('source', 'u1'),               # 0 majority, 1 history, 2 trust, 3 context
-    ('pad', 'u1', 3)])
-# Observation number i lies at place i % CHUNK of its link.
-LINK = np.dtype([('c', 'u2', CHUNK), ('s', 'f4', CHUNK), ('t', 'i4', CHUNK), ('next', 'u4')])
+    ('gone', 'u1'),                 # 1: what stood there moved away
+    ('first_label', 'u2')])         # label of the oldest observation, kept or not
+# Observation number i lies at place i % CHUNK of its link: label, confidence, frame. Its t is the
+# frame's. Where its points lay in the voxel is in a pool of its own, for links are cache lines.
+LINK = np.dtype([('c', 'u2', CHUNK), ('s', 'f4', CHUNK), ('f', 'i4', CHUNK), ('next', 'u4')])
+OFFSETS = np.dtype([('xyz', 'u1', 3 * CHUNK)])
 SPILL = np.dtype([('sums', 'f8', INLINE), ('classes', 'u2', INLINE), ('pad', 'u2'),
                   ('next', 'u4'), ('pad2', 'u4')])
 BLOCK = np.dtype([
@@ -54,6 +58,7 @@ BLOCK = np.dtype([
 # time an array is taken out of a tuple, which made adding an observation 30 times slower.
 Pools = namedtuple('Pools', [
     'blocks', 'voxels', 'links', 'spills',      # records of the types above
+    'offsets',                                  # OFFSETS of the links, by the same number
     'free', 'retired',                          # numbers of links: unused, unused soon
     'used',                                     # how much of each pool is in use, see below
     'starts', 'changes'])                       # class volatility's counters, (65536,) int64
@@ -84,7 +89,8 @@ class Store:
                        'links': _reserve(LINK, memory), 'spills': _reserve(SPILL, memory // 2)}
         self.capacity = {name: len(pool) for name, pool in self._pools.items()}
         self.arrays = Pools(
-            *self._pools.values(), _reserve(np.dtype('u4'), memory // 16),
+            *self._pools.values(), _reserve(OFFSETS, memory // 2),
+            _reserve(np.dtype('u4'), memory // 16),
             _reserve(np.dtype('u4'), memory // 16), np.zeros(14, np.int64),
             np.zeros(65536, np.int64), np.zeros(65536, np.int64))
 
@@ -105,6 +111,7 @@ class Store:
         return {'blocks': int(used[BLOCKS] - used[FREE_BLOCKS]) * BLOCK.itemsize,
                 'voxels': int(used[VOXELS] - used[FREE_VOXELS]) * VOXEL.itemsize,
                 'histories': int(used[LINKS] - free) * LINK.itemsize,
+                'offsets': int(used[LINKS] - free) * OFFSETS.itemsize,
                 'spilt evidence': int(used[SPILLS] - used[FREE_SPILLS]) * SPILL.itemsize}
 
 

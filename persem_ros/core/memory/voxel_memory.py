@@ -1,28 +1,16 @@
 """The map: for every world voxel the history of what was seen there (spec section 2)."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from persem_ros.core.jit import kernel, split
 from persem_ros.core.memory.append import add_observations, release_links
 from persem_ros.core.memory.blocks import find_voxels, list_voxels, new_table, rehash
 from persem_ros.core.memory.evidence import read_evidence
+from persem_ros.core.memory.frame_table import FrameTable, Session, session_uuid, Stamps
 from persem_ros.core.memory.pools import (
-    BLOCKS, CHUNK, FREE_VOXELS, OBSERVATIONS, Store, STORED, VOXELS)
+    BLOCKS, CENTRE, CHUNK, FREE_VOXELS, OBSERVATIONS, Store, STORED, VOXELS)
 from persem_ros.errors import PersemError
 
 LAST_T = 2 ** 31 - 1        # histories keep t as int32
-
-
-@dataclass(frozen=True, eq=False)
-class FrameRecord:
-    """A row of the frame table: when, by what and from where the map was looked at."""
-
-    t: int
-    session: int
-    sensor: str
-    stamp: int
-    T_map_sensor: np.ndarray
 
 
 class VoxelMemory:
@@ -49,14 +37,14 @@ class VoxelMemory:
         self.origin = tuple(float(x) for x in origin)
         self.max_history = int(max_history)
         self.session = 0
-        self.frames = []
+        self.frames = FrameTable()
         self.seen_ids = np.zeros(65536, np.uint8)   # ids of all counted pixels (section 4)
         self.rho = None             # class volatility of the last full refinement
         self.refined_with = None    # settings of the last refinement; None: visit all next time
         self.refinements = 0        # under way: their links must not be used again
         self.store = Store()
         self.table = new_table(512)
-        self._t_of_stamp = {}
+        self._stamps = Stamps()
         self._next_t = 0
 
     @property
@@ -100,10 +88,13 @@ class VoxelMemory:
         self._make_room(n)
         if self.refinements == 0:
             release_links(self.m.free, self.m.retired, self.m.used)
-        t = self._t(observations)
+        offsets = observations.offsets
+        if offsets is None:
+            offsets = np.full((n, 3), CENTRE, np.uint8)
+        f = self._enter(observations)
         rows = np.empty(n, np.int64)
         add_observations(self.m, self.table, observations.voxels, observations.labels,
-                         observations.confidences, t, self.max_history, rows)
+                         observations.confidences, offsets, f, self.max_history, rows)
         self.seen_ids[observations.ids] = 1
         return rows
 
@@ -117,13 +108,14 @@ class VoxelMemory:
     def new_session(self):
         """Begin a session: its stamps are new even where they repeat earlier ones."""
         self.session += 1
-        self._t_of_stamp = {}
+        self._stamps = Stamps()
 
     def resume(self, frames, session):
         """Take over the frame table of a saved map; it goes on in the same session."""
-        self.frames, self.session = list(frames), int(session)
-        self._t_of_stamp = {f.stamp: f.t for f in frames if f.session == self.session}
-        self._next_t = max((f.t for f in frames), default=-1) + 1
+        self.frames, self.session = frames.copy(), int(session)
+        own = frames.session == self.session
+        self._stamps = Stamps(frames.stamp[own], frames.t[own])
+        self._next_t = int(frames.t.max(initial=-1)) + 1
 
     def volatility(self):
         """
@@ -182,6 +174,23 @@ class VoxelMemory:
 
     def history(self, voxel):
         """Return the stored observations of a voxel: labels uint16, confidences f4, t int32."""
+        labels, confidences, f, _ = self.sightings(voxel)
+        return labels, confidences, self.frames.t[f]
+
+    def sightings(self, voxel):
+        """
+        Return the stored observations of a voxel, oldest first.
+
+        Returns
+        -------
+        labels : ndarray, shape (k,), uint16
+        confidences : ndarray, shape (k,), float32
+        f : ndarray, shape (k,), int32
+            Rows of the frame table.
+        offsets : ndarray, shape (k, 3), uint8
+            Where the points lay in the voxel, 256ths of its edge (Observations.offsets).
+
+        """
         record, links = self.m.voxels[self.number(voxel)], self.m.links
         n, first, link = int(record['n']), int(record['first']), int(record['head'])
         chain = []
@@ -190,8 +199,9 @@ class VoxelMemory:
             link = int(links[link - 1]['next'])
         oldest = max(first, n - self.max_history) if self.max_history else first
         skipped = first // CHUNK * CHUNK        # number of the chain's first place
-        return tuple(links[name][chain].reshape(-1)[oldest - skipped:n - skipped]
-                     for name in 'cst')
+        kept = slice(oldest - skipped, n - skipped)
+        return (*(links[name][chain].reshape(-1)[kept] for name in 'csf'),
+                self.m.offsets['xyz'][chain].reshape(-1, 3)[kept])
 
     def changed(self, voxel):
         """Return whether a voxel's evidence changed since a refinement began."""
@@ -209,8 +219,9 @@ class VoxelMemory:
         return dict(zip(classes[:n].tolist(), sums[:n].tolist()))
 
     def nbytes(self):
-        """Return {what: bytes in use}, everything included, but for the frame table's poses."""
+        """Return {what: bytes in use}, everything included."""
         sizes = self.store.nbytes()
+        sizes['frames'] = self.frames.nbytes()
         sizes['hash table'] = self.table.nbytes
         sizes['classes'] = self.m.starts.nbytes + self.m.changes.nbytes + self.seen_ids.nbytes
         return sizes
@@ -222,18 +233,25 @@ class VoxelMemory:
             self.table = new_table(2 * needed)
             rehash(self.m.blocks, self.m.used, self.table)
 
-    def _t(self, observations):
-        """Enter the frame into the table and return its t (spec section 1)."""
-        t = self._t_of_stamp.get(observations.stamp)
-        if t is None:
+    def _enter(self, seen):
+        """Enter the frame of some Observations into the table; return its row f."""
+        t = self._stamps.find(seen.stamp)
+        if t is None:               # spec section 1: t counts the distinct stamps
             if self._next_t > LAST_T:
                 raise PersemError(f'the map has seen as many frames as it can number, {LAST_T + 1}'
                                   '; begin a new one (another map.path, or ~/reset)')
             t, self._next_t = self._next_t, self._next_t + 1
-            self._t_of_stamp[observations.stamp] = t
-        self.frames.append(FrameRecord(t, self.session, observations.sensor, observations.stamp,
-                                       observations.T_map_sensor))
-        return t
+            self._stamps.add(seen.stamp, t)
+        sessions = self.frames.sessions
+        if self.session not in sessions:
+            sessions[self.session] = Session(session_uuid(
+                seen.stamp, seen.sensor, seen.T_map_sensor, seen.voxels, seen.labels,
+                seen.confidences))
+        mounts = sessions[self.session].mounts
+        if seen.sensor not in mounts:
+            mounts[seen.sensor] = np.eye(4) if seen.T_body_sensor is None else \
+                np.array(seen.T_body_sensor, np.float64)
+        return self.frames.append(t, self.session, seen.sensor, seen.stamp, seen.T_map_sensor)
 
 
 def ordered(columns):

@@ -53,19 +53,20 @@ def oldest(observations, first, max_history):
 
 
 @inlined
-def last_time(links, head, first, n):
+def last_time(links, frame_t, head, first, n):
     """Return t of observation number n - 1."""
     link = link_of(links, head, first, n - 1)
-    return np.int64(links[link - 1].t[(n - 1) % CHUNK])
+    return np.int64(frame_t[links[link - 1].f[(n - 1) % CHUNK]])
 
 
 @kernel
-def fuse(begin, end, scratch, links, start, snapshot_classes, majority, observations, first, head,
-         mode, max_history, decay, beta, n_ids, labels):
+def fuse(begin, end, scratch, links, frame_t, start, snapshot_classes, majority, observations,
+         first, head, mode, max_history, decay, beta, n_ids, labels):
     """
     Label rows begin .. end of a snapshot by weighted votes of their observations.
 
-    decay is lambda_r per frame, n_ids is K of the probabilistic method.
+    frame_t is t of every frame, decay is lambda_r per frame, n_ids is K of the probabilistic
+    method.
 
     """
     classes, sums = scratch[0].ids, scratch[0].sums
@@ -76,20 +77,20 @@ def fuse(begin, end, scratch, links, start, snapshot_classes, majority, observat
             continue
         n_classes = 0
         n = np.int64(observations[r])
-        newest = last_time(links, head[r], first[r], n)
+        newest = last_time(links, frame_t, head[r], first[r], n)
         at = oldest(n, first[r], max_history)
         link = link_of(links, head[r], first[r], at)
         for i in range(at, n):
             if i > at and i % CHUNK == 0:
                 link = np.int64(links[link - 1].next)
-            ids, confidences, times = links[link - 1].c, links[link - 1].s, links[link - 1].t
+            ids, confidences, frames = links[link - 1].c, links[link - 1].s, links[link - 1].f
             c = np.int64(ids[i % CHUNK])
             s = np.float64(confidences[i % CHUNK])
             weight = s
             if mode == UNWEIGHTED:
                 weight = 1.0
             elif mode == RECENCY or mode == CONSENSUS:
-                weight = s * np.exp(-decay * (newest - np.int64(times[i % CHUNK])))
+                weight = s * np.exp(-decay * (newest - frame_t[frames[i % CHUNK]]))
                 if mode == CONSENSUS and i > at and winner(classes, sums, n_classes, c_M) == c:
                     weight *= 1.0 + beta
             elif n_ids >= 2:

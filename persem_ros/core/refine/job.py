@@ -113,16 +113,16 @@ def labelled(memory, taken, method, settings, rho, n_ids):
     n, links = taken.refined, memory.m.links
     labels, sources = taken.majority[:n].copy(), np.zeros(n, np.uint8)
     if method in fusion.MODES:
-        split(_with(fusion.fuse, fusion.VOTES), n, links, taken.start, taken.classes,
-              taken.majority, taken.observations, taken.first, taken.head, fusion.MODES[method],
-              memory.max_history, float(settings.lambda_recency), float(settings.beta), n_ids,
-              labels)
+        split(_with(fusion.fuse, fusion.VOTES), n, links, taken.frame_t, taken.start,
+              taken.classes, taken.majority, taken.observations, taken.first, taken.head,
+              fusion.MODES[method], memory.max_history, float(settings.lambda_recency),
+              float(settings.beta), n_ids, labels)
     elif method in selection.METHODS:
         anchor, then = selection.METHODS[method]
         gap = np.exp(-settings.lambda_gap * np.arange(selection.GAPS))
         split(_with(selection.select, selection.SCRATCH), n, memory.m.blocks, links,
-              taken.block, taken.cell, taken.row, taken.start, taken.classes, taken.shares,
-              taken.majority, taken.observations, taken.first, taken.head,
+              taken.frame_t, taken.block, taken.cell, taken.row, taken.start, taken.classes,
+              taken.shares, taken.majority, taken.observations, taken.first, taken.head,
               directions(settings.neighbours), anchor, then,
               int(settings.min_observations), float(settings.eta),
               trust_of(rho, settings.lambda_volatility), gap,

@@ -23,15 +23,17 @@ GAPS = 1024         # gaps in frames whose weight is looked up rather than compu
 
 
 @kernel
-def select(begin, end, scratch, blocks, links, block, cell, row, start, classes, shares, majority,
-           observations, first, head, neighbours, anchor, then, min_observations, eta, trust, gap,
-           surprise, gamma, lambda_gap, tau_replay, tau_context, max_history, labels, sources):
+def select(begin, end, scratch, blocks, links, frame_t, block, cell, row, start, classes, shares,
+           majority, observations, first, head, neighbours, anchor, then, min_observations, eta,
+           trust, gap, surprise, gamma, lambda_gap, tau_replay, tau_context, max_history, labels,
+           sources):
     """
     Label rows begin .. end of a snapshot by the paper's refinement or a part of it.
 
-    trust (65536,) is exp(-lambda_v rho(c)), gap (GAPS,) exp(-lambda_t dt), surprise
-    exp(-lambda_s). Neighbours are visited only where they can matter, which they do for one
-    voxel in five: an own lead that no neighbourhood can overturn settles the anchor.
+    frame_t is t of every frame, trust (65536,) exp(-lambda_v rho(c)), gap (GAPS,)
+    exp(-lambda_t dt), surprise exp(-lambda_s). Neighbours are visited only where they can
+    matter, which they do for one voxel in five: an own lead that no neighbourhood can overturn
+    settles the anchor.
 
     """
     work = scratch[0]
@@ -65,8 +67,8 @@ def select(begin, end, scratch, blocks, links, block, cell, row, start, classes,
                     labels[r] = c
                     sources[r] = CONTEXT
         elif several and (then == PROPOSED or then == VERIFIED):
-            c = _replay(links, observations[r], first[r], head[r], c_M, trust, gap, surprise,
-                        gamma, lambda_gap, tau_replay, max_history, work)
+            c = _replay(links, frame_t, observations[r], first[r], head[r], c_M, trust, gap,
+                        surprise, gamma, lambda_gap, tau_replay, max_history, work)
             if c != c_M:
                 if then == VERIFIED and around < 0:
                     around, n_touched = _visit(blocks, block[r], cell[r], row, start, classes,
@@ -197,8 +199,8 @@ def _verified(work, c, c_M, tau):
 
 
 @inlined
-def _replay(links, observations, first, head, c_M, trust, gap, surprise, gamma, lambda_gap,
-            tau, max_history, work):
+def _replay(links, frame_t, observations, first, head, c_M, trust, gap, surprise, gamma,
+            lambda_gap, tau, max_history, work):
     """
     Replay a history (section 3.2); return c_T where it is a proposal, else c_M.
 
@@ -215,8 +217,8 @@ def _replay(links, observations, first, head, c_M, trust, gap, surprise, gamma, 
             link = np.int64(links[link - 1].next)
         if i == at or i % CHUNK == 0:
             record = links[link - 1]
-            labels, confidences, times = record.c, record.s, record.t
-        c, t = np.int64(labels[i % CHUNK]), np.int64(times[i % CHUNK])
+            labels, confidences, frames = record.c, record.s, record.f
+        c, t = np.int64(labels[i % CHUNK]), np.int64(frame_t[frames[i % CHUNK]])
         weight = np.float64(confidences[i % CHUNK]) * trust[c]
         if i > at:
             if winner(ids, evidence, n_ids, -1) != c:

@@ -37,6 +37,8 @@ class Snapshot:
     majority : ndarray, shape (n,), uint16
     observations, first, head : ndarray, shape (n,), uint32
         Length of the history, number of its first link's first observation, that link + 1.
+    frame_t : ndarray, shape (frames,), int32
+        t of every frame.
 
     """
 
@@ -52,6 +54,7 @@ class Snapshot:
     observations: np.ndarray
     first: np.ndarray
     head: np.ndarray
+    frame_t: np.ndarray
 
 
 def take(memory, neighbours=None):
@@ -80,7 +83,7 @@ def take(memory, neighbours=None):
     split(_copy, n, pools.voxels, pools.spills, number, start, classes, shares, majority,
           observations, first, head)
     return Snapshot(block, cell, number, refined, row, start, classes, shares, majority,
-                    observations, first, head)
+                    observations, first, head, memory.frames.t)
 
 
 def settle(memory):

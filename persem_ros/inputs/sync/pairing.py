@@ -33,6 +33,8 @@ class Match:
         What was pushed, by kind; a companion that is missing has no entry.
     T_map_camera : ndarray, shape (4, 4), float64
         The pose, None where no poses are asked for.
+    T_body_camera : ndarray, shape (4, 4), float64, or None
+        The camera's mount, where it is known (inputs.sync.poses.Lookup).
 
     """
 
@@ -44,6 +46,7 @@ class Match:
     size: int = 0
     missing: set = field(default_factory=set)
     ready: int = None           # when nothing of it was missing any more
+    T_body_camera: object = None
 
 
 @dataclass(order=True)
@@ -251,7 +254,7 @@ class Synchronizer:
                     return False
                 self._drop_head(found.reason)
                 return True
-            match.T_map_camera = found.T
+            match.T_map_camera, match.T_body_camera = found.T, found.mount
         del self._matches[0]
         self.bytes -= match.size
         self._left = match.stamp

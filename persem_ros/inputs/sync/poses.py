@@ -28,12 +28,15 @@ class Lookup(NamedTuple):
         False: what is missing may still arrive.
     reason : str
         Why there is no pose, '' where there is one; the key of a drop count.
+    mount : ndarray, shape (4, 4), float64, or None
+        T_body_camera, where the poses place a body and not the camera.
 
     """
 
     T: np.ndarray
     final: bool = True
     reason: str = ''
+    mount: np.ndarray = None
 
 
 class Track:
@@ -190,7 +193,7 @@ class PoseBuffer:
         mount = self._mount(self.child, frame)
         if mount is None:
             return Lookup(None, False, NO_MOUNT)
-        return Lookup(above.T @ found.T @ mount)
+        return Lookup(above.T @ found.T @ mount, mount=mount)
 
     def newest(self, frame: str) -> int | None:
         """Return the largest stamp that came last on the way to *frame*, ns; None: none."""

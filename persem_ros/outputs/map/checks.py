@@ -1,6 +1,7 @@
 """What a map file must satisfy before a kernel may rely on it, whoever wrote its checksums."""
 
 from collections.abc import Mapping
+import re
 from typing import Any
 
 import numpy as np
@@ -8,8 +9,8 @@ from numpy.typing import NDArray
 from persem_ros.core.jit import kernel
 from persem_ros.core.memory.dump import MemoryDump
 from persem_ros.core.memory.evidence import TIE
+from persem_ros.core.memory.frame_table import FrameTable
 from persem_ros.core.memory.pools import CELLS, SIDE
-from persem_ros.core.memory.voxel_memory import FrameRecord, LAST_T
 from persem_ros.frames import MAX_ID
 from persem_ros.outputs.map.cloud import SOURCES
 
@@ -20,11 +21,12 @@ ABOUT = {'settings': str, 'map_frame': str, 'legend': str, 'origin': bytes, 'vox
 FARTHEST_BLOCK = (1 << 31) // SIDE - 2      # so that every voxel and its neighbours are int32
 LEAST_EVIDENCE = 1e-46      # below the smallest confidence: shares of it do not underflow
 ROUNDING = 1e-6
+UUID = re.compile(r'[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}')
 LARGEST = 1e15              # metres: origins and positions of frames
 # What examine() may find, in its order.
 FAULTS = ('', 'a class twice in the evidence of a voxel', 'evidence', 'majority', 'label',
-          'last label', 'confidences', 'times', 'a history without its evidence',
-          'evidence that its history does not give', 'switches')
+          'first or last label', 'confidences', 'frames of a history',
+          'a history without its evidence', 'evidence that its history does not give', 'switches')
 (WHOLE, TWICE, EVIDENCE, MAJORITY, LABEL, LAST, CONFIDENCE, TIME, UNSEEN, SUMS,
  SWITCHES) = range(len(FAULTS))
 
@@ -55,17 +57,17 @@ def check_dump(saved: MemoryDump, about: Mapping[str, Any]) -> None:
         saved.observations.max(initial=0) <= len(saved.frames) and
         saved.observations.sum(dtype=np.int64) == about['observations'],
         'labels': max(int(column.max(initial=0)) for column in (
-            saved.label, saved.majority, saved.last, saved.history_label,
+            saved.label, saved.majority, saved.last, saved.first_label, saved.history_label,
             saved.evidence_class)) <= MAX_ID and saved.source.max(initial=0) < len(SOURCES) and
-        saved.dirty.max(initial=0) <= 1,
+        saved.dirty.max(initial=0) <= 1 and saved.gone.max(initial=0) <= 1,
         'evidence': bool((np.diff(saved.evidence_start) > 0).all())})
     starts, changes = np.zeros(MAX_ID + 2, np.int64), np.zeros(MAX_ID + 2, np.int64)
-    newest = max((frame.t for frame in saved.frames), default=-1)
     fault = examine(
         saved.observations, saved.switches, saved.label, saved.majority, saved.last,
-        saved.evidence_start, saved.evidence_class, saved.evidence_sum, saved.history_start,
-        saved.history_label, saved.history_confidence, saved.history_t, newest, saved.seen_ids,
-        starts, changes)
+        saved.first_label, saved.evidence_start, saved.evidence_class, saved.evidence_sum,
+        saved.history_start, saved.history_label, saved.history_confidence, saved.history_frame,
+        saved.frames.t,
+        saved.seen_ids, starts, changes)
     if fault:
         raise ValueError(FAULTS[fault])
     _check_counters(saved, starts, changes)
@@ -74,10 +76,11 @@ def check_dump(saved: MemoryDump, about: Mapping[str, Any]) -> None:
 def _check_lengths(saved: MemoryDump, about: Mapping[str, Any]) -> None:
     """Refuse columns of other lengths than the counts say."""
     n, rows = len(saved.cell), np.diff(saved.block_start)
-    evidence, history = len(saved.evidence_sum), len(saved.history_t)
+    evidence, history = len(saved.evidence_sum), len(saved.history_frame)
     lengths = {'observations': n, 'switches': n, 'label': n, 'majority': n, 'last': n,
-               'source': n, 'dirty': n, 'evidence_class': evidence, 'history_label': history,
-               'history_confidence': history}
+               'first_label': n, 'source': n, 'dirty': n, 'gone': n, 'evidence_class': evidence,
+               'history_label': history,
+               'history_confidence': history, 'history_offset': history}
     _all_or_damaged({
         'number of blocks': len(rows) == len(saved.block_index) == about['blocks'] and
         bool(((rows > 0) & (rows <= CELLS)).all()),
@@ -101,17 +104,20 @@ def _check_blocks(saved: MemoryDump) -> None:
                       ((np.diff(saved.cell.astype(np.int64)) > 0) | last[:-1]).all())})
 
 
-def _check_frames(frames: list[FrameRecord], session: int) -> None:
+def _check_frames(frames: FrameTable, session: int) -> None:
     """Refuse rows of the frame table that no mapping writes."""
-    if not frames:
-        return
-    for frame in frames:
-        if not (0 <= frame.t <= LAST_T and 0 <= frame.session <= session
-                and '\0' not in frame.sensor):
-            raise ValueError('frames')
-    poses = np.array([frame.T_map_sensor for frame in frames])
-    if not ((np.abs(poses) < LARGEST).all() and (poses[:, 3] == (0, 0, 0, 1)).all()):
-        raise ValueError('poses of the frames')     # NaN is not less than anything
+    sessions = frames.sessions
+    mounts = [mount for one in sessions.values() for mount in one.mounts.values()]
+    poses = np.concatenate([frames.placed, frames.best, np.reshape(mounts, (-1, 4, 4))])
+    _all_or_damaged({
+        'frames': bool((frames.t >= 0).all() and (frames.session >= 0).all() and
+                       (frames.session <= session).all()) and
+        not any('\0' in name for name in frames.sensors),
+        'sessions': set(np.unique(frames.session).tolist()) == set(sessions) and
+        all(UUID.fullmatch(one.uuid) for one in sessions.values()),
+        # NaN is not less than anything
+        'poses of the frames': bool((np.abs(poses) < LARGEST).all() and
+                                    (poses[:, 3] == (0, 0, 0, 1)).all())})
 
 
 def _check_counters(saved: MemoryDump, starts: NDArray[np.int64],
@@ -132,8 +138,8 @@ def _check_counters(saved: MemoryDump, starts: NDArray[np.int64],
 
 
 @kernel
-def examine(observations, switches, label, majority, last, evidence_start, classes, sums,
-            history_start, labels, confidences, times, newest, seen_ids, starts, changes):
+def examine(observations, switches, label, majority, last, first_label, evidence_start, classes,
+            sums, history_start, labels, confidences, frames, frame_t, seen_ids, starts, changes):
     """
     Look at every voxel's record once; return the number of the first fault, 0 for none.
 
@@ -159,15 +165,17 @@ def examine(observations, switches, label, majority, last, evidence_start, class
             return MAJORITY
         if seen_ids[label[v]] == 0:     # the anchor may come from neighbours that were let go
             return LABEL
-        if last[v] != labels[b - 1]:
+        if last[v] != labels[b - 1] or (b - a == n and first_label[v] != labels[a]):
             return LAST
-        before, turns = np.int64(0), 0
+        before, turns, newest = np.int64(0), 0, np.int64(0)
         for i in range(a, b):
-            c, s, t = np.int64(labels[i]), np.float64(confidences[i]), np.int64(times[i])
+            c, s, f = np.int64(labels[i]), np.float64(confidences[i]), np.int64(frames[i])
             if not (s > 0.0 and s <= 1.0):
                 return CONFIDENCE
-            if t < 0 or t > newest or (i > a and t < np.int64(times[i - 1])):
+            if f < 0 or f >= len(frame_t) or (i > a and f < np.int64(frames[i - 1])) \
+                    or frame_t[f] < newest:
                 return TIME
+            newest = np.int64(frame_t[f])
             if seen[c] != v + 1 or seen_ids[c] == 0:
                 return UNSEEN
             rest[c] -= s

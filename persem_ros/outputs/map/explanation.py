@@ -125,7 +125,7 @@ def evidence_table(trace, name):
 
 def history_table(trace, frames, name):
     """Return the table of the stored observations, with the replay's steps."""
-    stamps = {frame.t: frame.stamp for frame in reversed(frames)}
+    stamps = dict(zip(frames.t[::-1].tolist(), frames.stamp[::-1].tolist()))
     lines = [f'{"t":>6}  {"stamp, s":<22}{"id":>5}  {"class":<20}{"s":>7}{"gap":>6}{"g":>3}'
              f'{"weight":>9}  leader']
     missing = trace['observations'] - len(trace['steps'])

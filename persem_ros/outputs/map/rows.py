@@ -6,22 +6,30 @@ import zlib
 
 import numpy as np
 from persem_ros.core.memory.dump import MemoryDump
-from persem_ros.core.memory.voxel_memory import FrameRecord
+from persem_ros.core.memory.frame_table import FrameTable, Session
 from persem_ros.frames import MAX_ID
+from persem_ros.outputs.map import schema1
 from persem_ros.outputs.map.checks import check_about, check_dump
 
-SCHEMA = 1
-ORDER = {'about': 'name', 'frames': 'row', 'classes': 'id', 'blocks': 'x, y, z'}
+SCHEMA = 2
+ORDER = {'about': 'name', 'sessions': 'number', 'mounts': 'session, sensor', 'frames': 'row',
+         'classes': 'id', 'blocks': 'x, y, z'}
 VOXEL = (('cell', '<u2'), ('observations', '<u4'), ('switches', '<u4'), ('label', '<u2'),
-         ('majority', '<u2'), ('last', '<u2'), ('source', 'u1'), ('dirty', 'u1'))
+         ('majority', '<u2'), ('last', '<u2'), ('first_label', '<u2'), ('source', 'u1'),
+         ('dirty', 'u1'), ('gone', 'u1'))
 EVIDENCE = (('evidence_class', '<u2'), ('evidence_sum', '<f8'))
-HISTORY = (('history_label', '<u2'), ('history_confidence', '<f4'), ('history_t', '<i4'))
+HISTORY = (('history_label', '<u2'), ('history_confidence', '<f4'), ('history_frame', '<i4'),
+           ('history_offset', 'u1'))
+AXES = {'history_offset': 3}        # numbers an entry; 1 elsewhere
 COUNTS = (('evidence_count', '<u4'), ('history_count', '<u4'))
 COLUMNS = (*VOXEL, *COUNTS, *EVIDENCE, *HISTORY)
 TABLES = f"""
 CREATE TABLE about (name TEXT PRIMARY KEY, value) WITHOUT ROWID;
 CREATE TABLE frames (row INTEGER PRIMARY KEY, t INTEGER, session INTEGER, sensor TEXT,
-                     stamp INTEGER, T_map_sensor BLOB);
+                     stamp INTEGER, T_map_sensor BLOB, T_map_best BLOB);
+CREATE TABLE sessions (number INTEGER PRIMARY KEY, uuid TEXT);
+CREATE TABLE mounts (session INTEGER, sensor TEXT, T_body_sensor BLOB,
+                     PRIMARY KEY (session, sensor)) WITHOUT ROWID;
 CREATE TABLE classes (id INTEGER PRIMARY KEY, starts INTEGER, changes INTEGER, seen INTEGER,
                       rho REAL);
 CREATE TABLE blocks (x INTEGER, y INTEGER, z INTEGER, voxels INTEGER, crc INTEGER,
@@ -30,10 +38,13 @@ CREATE TABLE blocks (x INTEGER, y INTEGER, z INTEGER, voxels INTEGER, crc INTEGE
 """
 # Columns of the tables and the types of their values, as a file must have them.
 NAMES = {'about': ('name', 'value'),
-         'frames': ('row', 't', 'session', 'sensor', 'stamp', 'T_map_sensor'),
+         'sessions': ('number', 'uuid'), 'mounts': ('session', 'sensor', 'T_body_sensor'),
+         'frames': ('row', 't', 'session', 'sensor', 'stamp', 'T_map_sensor', 'T_map_best'),
          'classes': ('id', 'starts', 'changes', 'seen', 'rho'),
          'blocks': ('x', 'y', 'z', 'voxels', 'crc', *(name for name, _ in COLUMNS))}
-KINDS = {'about': (str, (int, float, str, bytes)), 'frames': (int, int, int, str, int, bytes),
+KINDS = {'about': (str, (int, float, str, bytes)), 'sessions': (int, str),
+         'mounts': (int, str, bytes),
+         'frames': (int, int, int, str, int, bytes, (bytes, type(None))),
          'classes': (int, int, int, int, float), 'blocks': (int,) * 5 + (bytes,) * len(COLUMNS)}
 
 
@@ -54,17 +65,45 @@ def to_rows(saved, texts):
              'session': saved.session, 'refined': int(saved.rho is not None),
              'blocks': len(saved.block_index), 'voxels': len(saved.cell),
              'observations': int(saved.observations.sum(dtype=np.int64))}
-    frames, classes = list(_frame_rows(saved)), list(_class_rows(saved))
-    about['crc'] = _crc(*sorted(about.items()), *frames, *classes)
-    return {'about': sorted(about.items()), 'frames': frames, 'classes': classes,
-            'blocks': _block_rows(saved)}
+    small = {'sessions': [(number, session.uuid)
+                          for number, session in sorted(saved.frames.sessions.items())],
+             'mounts': list(_mount_rows(saved)), 'frames': list(_frame_rows(saved)),
+             'classes': list(_class_rows(saved))}
+    about['frames_crc'] = crc_of(small['frames'])
+    about['crc'] = crc_of(about_rows(about, small))
+    return {'about': sorted(about.items()), **small, 'blocks': _block_rows(saved)}
+
+
+def about_rows(about, tables):
+    """
+    Return the rows that about's 'crc' covers: about's own and those of the smallest tables.
+
+    The frame table has a checksum of its own, 'frames_crc', which goes on where rows are added.
+
+    """
+    return [*sorted((name, value) for name, value in about.items() if name != 'crc'),
+            *(row for name in ('sessions', 'mounts', 'classes') for row in tables[name])]
+
+
+def _mount_rows(saved):
+    """Yield the rows of the table mounts."""
+    for number, session in sorted(saved.frames.sessions.items()):
+        for sensor, mount in sorted(session.mounts.items()):
+            yield number, sensor, _matrix(mount)
 
 
 def _frame_rows(saved):
     """Yield the rows of the table frames, in the order of integration."""
-    for row, frame in enumerate(saved.frames):
-        pose = np.ascontiguousarray(frame.T_map_sensor, '<f8').tobytes()
-        yield row, int(frame.t), int(frame.session), frame.sensor, int(frame.stamp), pose
+    table = saved.frames
+    for row in range(len(table)):
+        placed, best = _matrix(table.placed[row]), _matrix(table.best[row])
+        yield (row, int(table.t[row]), int(table.session[row]), table.sensors[table.sensor[row]],
+               int(table.stamp[row]), placed, None if best == placed else best)
+
+
+def _matrix(T):
+    """Return a 4x4 matrix as bytes."""
+    return np.ascontiguousarray(T, '<f8').tobytes()
 
 
 def _class_rows(saved):
@@ -81,8 +120,8 @@ def _block_rows(saved):
     arrays['evidence_count'] = np.diff(saved.evidence_start)
     arrays['history_count'] = np.diff(saved.history_start)
     columns = [np.ascontiguousarray(arrays[name], kind) for name, kind in COLUMNS]
-    views = [memoryview(column.view(np.uint8)) for column in columns]
-    sizes = [column.itemsize for column in columns]
+    views = [memoryview(column.reshape(-1).view(np.uint8)) for column in columns]
+    sizes = [column.itemsize * AXES.get(name, 1) for column, (name, _) in zip(columns, COLUMNS)]
     borders = saved.block_start, saved.evidence_start[saved.block_start], \
         saved.history_start[saved.block_start]
     which = [borders[0]] * (len(VOXEL) + len(COUNTS)) + [borders[1]] * len(EVIDENCE) + \
@@ -92,7 +131,7 @@ def _block_rows(saved):
     for b, (x, y, z) in enumerate(index):
         data = [view[edge[b]:edge[b + 1]] for view, edge in zip(views, edges)]
         key = x, y, z, rows[b]
-        yield (*key, _crc((*key, *data)), *data)
+        yield (*key, crc_of([(*key, *data)]), *data)
 
 
 def from_rows(rows):
@@ -102,7 +141,7 @@ def from_rows(rows):
     Parameters
     ----------
     rows : dict
-        {table: list of rows}, sorted as ORDER says.
+        {table: list of rows}, sorted as ORDER says; of schema 1, where there are no sessions.
 
     Returns
     -------
@@ -119,15 +158,22 @@ def from_rows(rows):
     """
     about, frames, classes, blocks = dict(rows['about']), rows['frames'], rows['classes'], \
         rows['blocks']
-    crc = about.pop('crc')
-    if crc != _crc(*sorted(about.items()), *frames, *classes):
+    first = 'sessions' not in rows      # of schema 1
+    covered = [*sorted((name, value) for name, value in about.items() if name != 'crc'), *frames,
+               *classes] if first else about_rows(about, rows)
+    if about.pop('crc') != crc_of(covered):
         raise ValueError('checksum of the small tables')
+    if not first and about.pop('frames_crc') != crc_of(frames):
+        raise ValueError('checksum of the frame table')
     check_about(about)
-    columns = {name: np.frombuffer(bytearray().join(row[5 + k] for row in blocks), kind)
-               for k, (name, kind) in enumerate(COLUMNS)}
     for row in blocks:
-        if row[4] != _crc((*row[:4], *row[5:])):
+        if row[4] != crc_of([(*row[:4], *row[5:])]):
             raise ValueError(f'checksum of block {row[:3]}')
+    columns = {name: np.frombuffer(bytearray().join(row[5 + k] for row in blocks), kind)
+               for k, (name, kind) in enumerate(schema1.COLUMNS if first else COLUMNS)}
+    for name, axes in AXES.items():
+        if name in columns:
+            columns[name] = columns[name].reshape(-1, axes)
     start = {name: _starts(columns.pop(f'{name}_count')) for name in ('evidence', 'history')}
     counts = {name: np.zeros(MAX_ID + 2, kind) for name, kind in (
         ('starts', np.int64), ('changes', np.int64), ('seen', np.uint8), ('rho', np.float64))}
@@ -136,21 +182,45 @@ def from_rows(rows):
         raise ValueError('ids of the classes')
     for k, column in enumerate(counts.values(), 1):
         column[ids] = [row[k] for row in classes]
+    table = schema1.frame_table(frames) if first else \
+        _frame_table(frames, rows['sessions'], rows['mounts'])
+    if first:
+        columns |= schema1.added(columns, start['history'], table)
+        del columns['history_t']
     saved = MemoryDump(
         about['voxel_size'], struct.unpack('<3d', about['origin']), about['max_history'],
         about['session'], np.array([row[:3] for row in blocks], np.int32).reshape(-1, 3),
         _starts([row[3] for row in blocks]), **columns, evidence_start=start['evidence'],
         history_start=start['history'], starts=counts['starts'], changes=counts['changes'],
         seen_ids=counts['seen'], rho=counts['rho'] if about['refined'] else None,
-        frames=[FrameRecord(*row[1:5], np.frombuffer(row[5]).reshape(4, 4).copy())
-                for row in frames])
+        frames=table)
     check_dump(saved, about)
     return about, saved
 
 
-def _crc(*rows):
-    """Return the CRC-32 of rows of numbers, texts and bytes."""
-    crc = 0
+def _frame_table(frames, sessions, mounts):
+    """Return the FrameTable in the rows of three tables."""
+    table = FrameTable()
+    if [row[0] for row in frames] != list(range(len(frames))):
+        raise ValueError('rows of the frame table')
+    _, t, session, sensor, stamp, placed, best = zip(*frames) if frames else [()] * 7
+    moved = [b if b is not None else p for p, b in zip(placed, best)] if any(best) else None
+    table.extend(np.array(t, np.int32), np.array(session, np.int64), list(sensor),
+                 np.array(stamp, np.int64), matrices(placed),
+                 None if moved is None else matrices(moved))
+    table.sessions.update((number, Session(uuid, {})) for number, uuid in sessions)
+    for number, name, mount in mounts:
+        table.sessions[number].mounts[name] = matrices([mount])[0]
+    return table
+
+
+def matrices(blobs):
+    """Return the n 4x4 matrices that are in *blobs*, float64."""
+    return np.frombuffer(b''.join(blobs), '<f8').reshape(len(blobs), 4, 4).copy()
+
+
+def crc_of(rows, crc=0):
+    """Return the CRC-32 of rows of numbers, texts and bytes, which goes on from *crc*."""
     for row in rows:
         for value in row:
             data = value if isinstance(value, (bytes, memoryview)) else f'{value!r};'.encode()

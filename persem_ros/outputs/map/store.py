@@ -11,6 +11,7 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 import logging
 from pathlib import Path
+import shutil
 import sqlite3
 import struct
 
@@ -20,6 +21,7 @@ from persem_ros.core.memory.pools import SIDE
 from persem_ros.errors import PersemError
 from persem_ros.guard.database import check_tables, checked, opened
 from persem_ros.outputs.files import replacing
+from persem_ros.outputs.map import schema1
 from persem_ros.outputs.map.rows import (
     from_rows, KINDS, NAMES, ORDER, SCHEMA, TABLES, to_rows)
 from persem_ros.settings import config_file
@@ -139,8 +141,23 @@ def save(path, memory, config, legend=None):
                 for table, content in rows.items():
                     _insert(db, table, content)
                 db.execute('COMMIT')
+            _keep_schema_1(path)
         except sqlite3.Error as error:
             raise PersemError(f'cannot write {path}: {error}') from error
+
+
+def _keep_schema_1(path):
+    """Leave a file of schema 1 that is about to be replaced beside it, as NAME.v1."""
+    try:
+        with open(path, 'rb') as file:
+            header = file.read(72)
+        kept, wanted = Path(f'{path}.v1'), struct.pack('>i', APPLICATION)
+        if header[60:64] == struct.pack('>i', 1) and header[68:] == wanted and not kept.exists():
+            shutil.copy2(path, kept)
+            log.warning('%s was a map file of schema 1 and is brought up to schema %d; the old '
+                        'one stays as %s', path, SCHEMA, kept)
+    except FileNotFoundError:
+        pass
 
 
 def load(path):
@@ -157,12 +174,13 @@ def load(path):
     _check_magic(path)
     try:
         with closing(opened(path)) as db:
-            _check_kind(db, path)
-            check_tables(db, NAMES)
+            first = _schema(db, path) == 1
+            names, kinds = (schema1.NAMES, schema1.KINDS) if first else (NAMES, KINDS)
+            check_tables(db, names)
             size = path.stat().st_size
-            rows = {table: list(checked(db.execute(f'SELECT * FROM {table} ORDER BY {key}'),
-                                        KINDS[table], size))
-                    for table, key in ORDER.items()}
+            rows = {table: list(checked(
+                db.execute(f'SELECT * FROM {table} ORDER BY {ORDER[table]}'), kinds[table], size))
+                for table in ORDER if table in names}
         about, saved = from_rows(rows)
     except (sqlite3.Error, sqlite3.Warning, KeyError, TypeError, ValueError, IndexError,
             OverflowError, struct.error) as error:
@@ -187,15 +205,16 @@ def _check_magic(path):
         raise PersemError(f'{path}: not a map file; {EXPECTED}')
 
 
-def _check_kind(db, path):
-    """Refuse a database that is no map, or one of another schema."""
+def _schema(db, path):
+    """Return the schema of a map file; refuse another database, or a schema not known."""
     application = db.execute('PRAGMA application_id').fetchone()[0]
     schema = db.execute('PRAGMA user_version').fetchone()[0]
     if application != APPLICATION:
         raise PersemError(f'{path}: a database, but not a map file; {EXPECTED}')
-    if schema != SCHEMA:
+    if not 1 <= schema <= SCHEMA:
         raise PersemError(f'{path}: a map file of schema {schema}, expected schema {SCHEMA}; '
                           'use the version of persem_ros that wrote it, or replay the recording')
+    return schema
 
 
 def _insert(db, table, rows):

@@ -57,11 +57,12 @@ def top_view(columns, voxel_size, legend):
 
 def tracks(memory, most=2000):
     """Return the cameras' positions in the voxels' frame, metres, one (n, 3) array a sensor."""
-    sensors = {}
-    for frame in memory.frames:
-        sensors.setdefault((frame.session, frame.sensor), []).append(frame.T_map_sensor[:3, 3])
-    return [(np.array(line) - memory.origin)[::-(-len(line) // most)]
-            for line in sensors.values()]
+    table = memory.frames
+    which, first = np.unique(np.stack([table.session, table.sensor], axis=1), axis=0,
+                             return_index=True)
+    lines = [table.placed[(table.session == session) & (table.sensor == sensor), :3, 3]
+             for session, sensor in which[np.argsort(first)]]
+    return [(line - memory.origin)[::-(-len(line) // most)] for line in lines]
 
 
 def on_top(track, top):

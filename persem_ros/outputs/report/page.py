@@ -130,5 +130,4 @@ def _topics(recording):
 
 
 def _seconds(frames):
-    stamps = [frame.stamp for frame in frames]
-    return (max(stamps) - min(stamps)) / 1e9 if stamps else 0.0
+    return float(frames.stamp.max() - frames.stamp.min()) / 1e9 if len(frames) else 0.0
