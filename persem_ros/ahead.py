@@ -1,12 +1,17 @@
 """Reading ahead and writing behind: two small threads that keep both cores busy."""
 
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
 import queue
 import threading
+from typing import Any, TypeVar
 
+Item = TypeVar('Item')
 END = object()
 
 
-def read_ahead(items, depth=2):
+def read_ahead(items: Iterable[Item], depth: int = 2) -> Iterator[Item]:
     """
     Yield *items*, up to *depth* of which are made in advance by a thread.
 
@@ -14,9 +19,10 @@ def read_ahead(items, depth=2):
     thread ends after the item that it is making.
 
     """
-    ready, stopped = queue.Queue(depth), threading.Event()
+    ready: queue.Queue[tuple[Any, BaseException | None]] = queue.Queue(depth)
+    stopped = threading.Event()
 
-    def produce():
+    def produce() -> None:
         try:
             for item in items:
                 if not _put(ready, (item, None), stopped):
@@ -48,22 +54,22 @@ class WriteBehind:
 
     """
 
-    def __init__(self, depth=2):
+    def __init__(self, depth: int = 2) -> None:
         self._calls = queue.Queue(depth)
         self._error = None
         self._thread = threading.Thread(target=self._work, name='write behind', daemon=True)
 
-    def __enter__(self):
+    def __enter__(self) -> WriteBehind:
         """Start the thread."""
         self._thread.start()
         return self
 
-    def __call__(self, function, *arguments):
+    def __call__(self, function: Callable[..., Any], *arguments: Any) -> None:
         """Have function(*arguments) called; waits while the queue is full."""
         self._check()
         self._calls.put((function, arguments))
 
-    def __exit__(self, kind, value, traceback):
+    def __exit__(self, kind: type[Any] | None, value: Any, traceback: Any) -> None:
         """Wait until all is done, or, after an error in the block, drop what is left."""
         if kind is not None:
             self._error = self._error or value
@@ -72,11 +78,11 @@ class WriteBehind:
         if kind is None:
             self._check()
 
-    def _check(self):
+    def _check(self) -> None:
         if self._error is not None:
             raise self._error
 
-    def _work(self):
+    def _work(self) -> None:
         while True:
             function, arguments = self._calls.get()
             if function is END:
@@ -88,7 +94,7 @@ class WriteBehind:
                     self._error = error
 
 
-def _put(ready, item, stopped):
+def _put(ready: queue.Queue, item: tuple[Any, None], stopped: threading.Event) -> bool:
     """Put an item into a bounded queue; False when the consumer has gone."""
     while not stopped.is_set():
         try:

@@ -1,5 +1,7 @@
 """The nouns: a camera and a frame; shape, dtype, unit and coordinate frame of every array."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -33,17 +35,19 @@ class Camera:
     frame_id: str = ''
 
     @property
-    def height(self):
+    def height(self) -> int:
         """Rows of the depth image."""
         return self.rays.shape[0]
 
     @property
-    def width(self):
+    def width(self) -> int:
         """Columns of the depth image."""
         return self.rays.shape[1]
 
 
-def pinhole(width, height, fx, fy, cx, cy, frame_id=''):
+def pinhole(
+        width: int, height: int, fx: float, fy: float, cx: float, cy: float, frame_id: str = ''
+) -> Camera:
     """Return the Camera without distortion of *width* x *height* pixels."""
     rays = np.empty((height, width, 2))
     rays[..., 0] = ((np.arange(width) - cx) / fx)[None, :]

@@ -6,12 +6,22 @@ the same map from the same frames.
 
 """
 
+from __future__ import annotations
+
+from typing import Any, TYPE_CHECKING
+
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.core.frame import images
 from persem_ros.core.frame.observe import gather
 from persem_ros.core.frame.render import filled, render, voxel_image, voxel_image_of
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine.job import refine
+
+if TYPE_CHECKING:
+    from persem_ros.core.frame.observe import Observations
+    from persem_ros.frames import Frame
+    from persem_ros.settings.config import Config
 
 
 class Pipeline:
@@ -26,12 +36,12 @@ class Pipeline:
 
     """
 
-    def __init__(self, config, memory=None):
+    def __init__(self, config: Config, memory: Any = None) -> None:
         self.config = config
         self.memory = memory or VoxelMemory(
             config.memory.voxel_size, config.map.origin, config.memory.max_history)
 
-    def observe(self, frame):
+    def observe(self, frame: Frame) -> Observations:
         """Return what a frame (persem_ros.frames.Frame) says about each voxel it sees."""
         labels = images.counted_labels(frame, self.config.memory)
         offsets = np.empty(frame.depth.size, np.int32)
@@ -39,17 +49,17 @@ class Pipeline:
                       frame.stamp, frame.T_map_camera, frame.sensor, offsets,
                       frame.T_body_camera)
 
-    def add(self, frame):
+    def add(self, frame: Frame) -> Observations:
         """Integrate a frame; return its Observations."""
         observations = self.observe(frame)
         self.memory.add(observations)
         return observations
 
-    def refine(self, full=True):
+    def refine(self, full: bool = True) -> int:
         """Refine the map; return the number of voxels visited."""
         return refine(self.memory, self.config.refine, full)
 
-    def render(self, frame, observations=None):
+    def render(self, frame: Frame, observations: Any = None) -> NDArray[np.int32]:
         """
         Return the refined label image of a frame, int32 on the labels' grid.
 
@@ -62,20 +72,22 @@ class Pipeline:
         return filled(image, frame.labels, self.config.memory, self.config.render.fill,
                       self.unknown)
 
-    def voxel_image(self, frame, observations=None):
+    def voxel_image(
+            self, frame: Frame, observations: Observations | None = None) -> NDArray[np.int32]:
         """Return the voxel number of each depth pixel, int32; -1: no depth or unknown."""
         shape = frame.depth.shape
         if observations is not None:
             return voxel_image(self.memory, observations, shape)
         return voxel_image_of(self.memory, *self._placed(frame), shape)
 
-    def _placed(self, frame, offsets=None):
+    def _placed(self, frame: Frame, offsets: NDArray[np.int32] | None = None
+                ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the voxels of the frame's pixels."""
         return images.placed(frame, self.config.memory, self.memory.voxel_size,
                              self.memory.origin, offsets)
 
     @property
-    def unknown(self):
+    def unknown(self) -> int:
         """Return the ignored id that stands for "unknown" in an image."""
         ignored = [c for c in self.config.memory.ignore_labels if c >= 0]
         return ignored[0] if ignored else 65535

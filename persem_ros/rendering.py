@@ -1,14 +1,24 @@
 """Rendering a frame by several methods at once, on the same voxels and the same pixels."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.core.frame.images import counted, resampled
 from persem_ros.core.frame.render import filled, render
 from persem_ros.core.frame.smoothing import EmaImages
 from persem_ros.core.refine.job import label
 from persem_ros.outputs.results.metrics import valid_pixels
 from persem_ros.settings.config import IMAGE_METHODS
+
+if TYPE_CHECKING:
+    from persem_ros.core.frame.observe import Observations
+    from persem_ros.frames import Frame
+    from persem_ros.pipeline import Pipeline
+    from persem_ros.settings.config import Memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,14 +63,14 @@ class Renderer:
 
     """
 
-    def __init__(self, pipeline, methods):
+    def __init__(self, pipeline: Pipeline, methods: tuple[str, ...]) -> None:
         self.pipeline, self.methods = pipeline, tuple(methods)
         self._labels = {}       # method -> labels of its own, by voxel number
         self._gathered = {}     # method -> labels of all voxels of today
         self._gathered_at = None
         self._smoothers = {}
 
-    def relabel(self):
+    def relabel(self) -> None:
         """Label the map anew by every method that needs it; call it after each refinement."""
         config = self.pipeline.config
         for method in self.methods:
@@ -68,7 +78,7 @@ class Renderer:
                 self._labels[method] = label(self.pipeline.memory, method, config.refine)[0]
         self._gathered_at = None
 
-    def render(self, frame, observations=None):
+    def render(self, frame: Frame, observations: Observations | None = None) -> Rendering:
         """Return the Rendering of a frame; observations save placing its pixels again."""
         config = self.pipeline.config
         voxels = self.pipeline.voxel_image(frame, observations)
@@ -94,7 +104,7 @@ class Renderer:
                              config.memory.min_depth, config.memory.max_depth, truth)
         return Rendering(images, voxels, labels, truth, valid, published)
 
-    def _of(self, method):
+    def _of(self, method: str) -> NDArray[np.uint16]:
         """
         Return the labels (voxels,) uint16 of a voxel method, by voxel number.
 
@@ -117,7 +127,7 @@ class Renderer:
             self._gathered[method] = found
         return self._gathered[method]
 
-    def _smoothed(self, sensor, labels):
+    def _smoothed(self, sensor: str, labels: NDArray[np.int32]) -> NDArray[np.uint16]:
         """Return the labels of ema2d; ignored pixels leave the state as it is."""
         if sensor not in self._smoothers:
             self._smoothers[sensor] = EmaImages(self.pipeline.config.ema.alpha)
@@ -125,12 +135,12 @@ class Renderer:
             counted(labels, _without_stride(self.pipeline.config.memory)))
 
 
-def _without_stride(settings):
+def _without_stride(settings: Memory) -> Memory:
     """Return the settings that say which ids count, for whole images."""
     return replace(settings, stride=1, dynamic_labels=(-1,))
 
 
-def _any_of(labels, ids):
+def _any_of(labels: NDArray[np.int32], ids: tuple[int]) -> Any:
     """Return the mask of the labels that are among *ids*, None where no id can be."""
     ids = [c for c in ids if c >= 0]
     return np.logical_or.reduce([labels == c for c in ids]) if ids else None

@@ -75,9 +75,16 @@ def room(path):
     return next((name for name in names if name in MAY_IMPORT), parts[0])
 
 
+class AtRuntime(ast.NodeTransformer):
+    """Leaves out what only a type checker reads: it loads nothing and is no arrow."""
+
+    def visit_If(self, node):
+        return None if ast.unparse(node.test) == 'TYPE_CHECKING' else self.generic_visit(node)
+
+
 def imports(path, body=None):
-    """Yield every dotted name that a file imports, also inside functions."""
-    tree = ast.parse(path.read_text(encoding='utf-8'))
+    """Yield every dotted name that a file imports when it runs, also inside functions."""
+    tree = AtRuntime().visit(ast.parse(path.read_text(encoding='utf-8')))
     for node in ast.walk(tree) if body is None else body(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)

@@ -1,9 +1,13 @@
 """Conventions of pose files, and a check that depth images agree under the chosen one."""
 
+from __future__ import annotations
+
 from itertools import product
 import logging
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.core.agreement import pairs_to_check, reprojection_error, WORST
 from persem_ros.core.transforms import inverse
 
@@ -22,7 +26,8 @@ WORLD_AXES = {
 }
 
 
-def optical_pose(T, direction='camera-to-world', axes='opencv', world='enu'):
+def optical_pose(T: NDArray[np.float64], direction: str = 'camera-to-world', axes: str = 'opencv',
+                 world: str = 'enu') -> NDArray[np.float64]:
     """
     Return T_map_camera of a pose as its file has it.
 
@@ -47,7 +52,9 @@ def optical_pose(T, direction='camera-to-world', axes='opencv', world='enu'):
     return T
 
 
-def compare_conventions(depths, poses, K, axes_only=None):
+def compare_conventions(depths: dict[int, NDArray[np.float64]],
+                        poses: dict[int, NDArray[np.float64]], K: NDArray[np.float64],
+                        axes_only: Any = None) -> dict[tuple[str, str], float]:
     """
     Return {(direction, axes): mean relative error} of all conventions.
 
@@ -76,7 +83,7 @@ def compare_conventions(depths, poses, K, axes_only=None):
     return result
 
 
-def judge(errors, direction, axes):
+def judge(errors: dict[tuple[str, str], float], direction: str, axes: str) -> str:
     """
     Say what the comparison means for the convention in use.
 

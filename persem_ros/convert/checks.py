@@ -1,8 +1,13 @@
 """What the frames themselves say about the flags: the depth's unit, the cameras' axes, up."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
 import logging
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.convert import axes
 from persem_ros.convert.units import check_unit
 from persem_ros.core.agreement import pairs_to_check
@@ -12,7 +17,9 @@ LEVEL = 0.5         # of the cameras' up along z, below which the world is not z
 STEEP = 0.7         # of the view along -z, above which the cameras look down
 
 
-def sampled(count, depth_of, pose_of):
+def sampled(
+        count: int, depth_of: Callable[..., Any], pose_of: Callable[..., Any]
+) -> tuple[dict[int, NDArray[np.float64]], dict[int, NDArray[np.float64]]]:
     """
     Return the depth and the poses of frames near enough to overlap.
 
@@ -40,7 +47,9 @@ def sampled(count, depth_of, pose_of):
     return {i: depths[i] for i in alike}, {i: poses[i] for i in alike}
 
 
-def check_conventions(depths, poses, K, conventions, per_metre):
+def check_conventions(depths: dict[int, NDArray[np.float64]],
+                      poses: dict[int, NDArray[np.float64]], K: NDArray[np.float64],
+                      conventions: tuple[str, str, str], per_metre: float) -> None:
     """
     Reproject depth images under other units and other axes, and warn about what fits better.
 
@@ -66,7 +75,7 @@ def check_conventions(depths, poses, K, conventions, per_metre):
         check_up(list(optical.values()), conventions[2])
 
 
-def check_up(poses, world='enu'):
+def check_up(poses: list[NDArray[np.float64]], world: str = 'enu') -> bool:
     """
     Warn when the cameras' mean up is not the map's.
 
@@ -97,7 +106,7 @@ def check_up(poses, world='enu'):
     return True
 
 
-def axis_of(direction):
+def axis_of(direction: NDArray[np.float64]) -> str:
     """Return the name of the axis, x to -z, that is nearest to a direction."""
     k = int(np.abs(direction).argmax())
     return ('-' if direction[k] < 0 else '') + 'xyz'[k]

@@ -1,13 +1,16 @@
 """Finding the files of a data set by pattern, and reading its text files."""
 
+from __future__ import annotations
+
 from pathlib import Path
 import re
 
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.errors import PersemError
 
 
-def files_of(folder, pattern):
+def files_of(folder: Path, pattern: str) -> dict[str, Path]:
     """
     Return {key: path}, in natural order of the keys.
 
@@ -45,23 +48,23 @@ def files_of(folder, pattern):
     return {key: found[key] for key in sorted(found, key=natural)}
 
 
-def natural(key):
+def natural(key: str) -> list[int | str]:
     """Return a sort key under which 'frame-10' comes after 'frame-9'."""
     return [int(part) if part.isdecimal() else part for part in re.split(r'(\d+)', key)]
 
 
-def canonical(key):
+def canonical(key: str) -> str:
     """Return a key without leading zeros, so that 7 finds 000007."""
     return key.lstrip('0') or '0' if key.isdecimal() else key
 
 
-def some(names, limit=3):
+def some(names: dict[str, Path] | list[str], limit: int = 3) -> str:
     """Return the first few of *names* as text, with an ellipsis when there are more."""
     names = list(names)
     return ', '.join(str(name) for name in names[:limit]) + (', …' if len(names) > limit else '')
 
 
-def read_text(path):
+def read_text(path: Path) -> str:
     """
     Return a text file's content.
 
@@ -79,7 +82,7 @@ def read_text(path):
         raise PersemError(f'{path}: expected a text file') from None
 
 
-def read_lines(path):
+def read_lines(path: Path) -> list[tuple[int, list[str]]]:
     """Return [(line number, words)] of a text file; '#' starts a comment, ',' separates too."""
     lines = enumerate(read_text(path).splitlines(), 1)
     rows = [(number, line.split('#')[0].replace(',', ' ').split()) for number, line in lines]
@@ -89,7 +92,7 @@ def read_lines(path):
     return rows
 
 
-def numbers_of(words, where):
+def numbers_of(words: list[str], where: str) -> NDArray[np.float64]:
     """Return words as float64; infinities and NaN are numbers here."""
     try:
         return np.array([float(word) for word in words])

@@ -1,10 +1,14 @@
 """Label, depth and colour files as arrays, checked; resizing that keeps pixel centres."""
 
+from __future__ import annotations
+
 from pathlib import Path
+from typing import Any
 import zlib
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.errors import PersemError
 
 PNG = b'\x89PNG\r\n\x1a\n'
@@ -12,7 +16,7 @@ UNITS = {'m': 1.0, 'cm': 100.0, 'mm': 1000.0}
 LABEL_ENCODINGS = {'u1': 'mono8', 'u2': 'mono16', 'i2': '16SC1', 'i4': '32SC1'}
 
 
-def read_array(path):
+def read_array(path: Path) -> NDArray[Any]:
     """
     Return an image file or a .npy file as it is stored.
 
@@ -41,7 +45,7 @@ def read_array(path):
     return np.squeeze(array, 2) if array.ndim == 3 and array.shape[2] == 1 else array
 
 
-def _is_broken_png(data):
+def _is_broken_png(data: bytes) -> bool:
     """Whether bytes that begin like a PNG end early or have a wrong checksum."""
     if not data.startswith(PNG):
         return False
@@ -56,7 +60,7 @@ def _is_broken_png(data):
     return True
 
 
-def read_labels(path):
+def read_labels(path: Path) -> tuple[NDArray[np.uint8], str]:
     """
     Return (ids, encoding) of a label file.
 
@@ -84,7 +88,9 @@ def read_labels(path):
     return array, LABEL_ENCODINGS[code]
 
 
-def read_depth(path, per_metre=None, invalid=(0, 65535)):
+def read_depth(
+        path: Path, per_metre: float | None = None, invalid: tuple[int, int] = (0, 65535)
+) -> tuple[NDArray[Any], str]:
     """
     Return (depth, encoding): 16UC1 in millimetres where the file is, else 32FC1 in metres.
 
@@ -118,18 +124,18 @@ def read_depth(path, per_metre=None, invalid=(0, 65535)):
     return np.where(bad, 0, array / (per_metre or 1000.0)).astype(np.float32), '32FC1'
 
 
-def units_per_metre(path, per_metre=None):
+def units_per_metre(path: Path, per_metre: float | None = None) -> float:
     """Return the stored units per metre that read_depth() takes a file to have."""
     return per_metre or (1.0 if read_array(path).dtype.kind == 'f' else UNITS['mm'])
 
 
-def metres(depth, encoding):
+def metres(depth: NDArray[Any], encoding: str) -> NDArray[np.float64]:
     """Return depth as float64 metres, 0 where there is no measurement."""
     depth = depth / 1000.0 if encoding == '16UC1' else depth.astype(np.float64)
     return np.where(np.isfinite(depth), depth, 0.0)
 
 
-def parse_unit(text):
+def parse_unit(text: str | None) -> float | None:
     """
     Return stored units per metre: of m, cm, mm, or the number itself (5000 for TUM).
 
@@ -151,7 +157,7 @@ def parse_unit(text):
     return value
 
 
-def read_color(path, size=None):
+def read_color(path: Path, size: tuple[int, int] | None = None) -> tuple[NDArray[np.uint8], str]:
     """Return (array, encoding) of a colour file: (H, W, 3) uint8, bgr8; *size* is (w, h)."""
     array = read_array(path)
     if array.dtype != np.uint8 or (array.ndim == 3 and array.shape[2] not in (3, 4)):
@@ -165,7 +171,7 @@ def read_color(path, size=None):
     return array, 'bgr8'
 
 
-def nearest(array, size):
+def nearest(array: NDArray[Any], size: tuple[int, int]) -> NDArray[Any]:
     """
     Resize without mixing values.
 
@@ -191,7 +197,8 @@ def nearest(array, size):
     return array[rows[:, None], columns]
 
 
-def scaled_K(K, old, new):
+def scaled_K(
+        K: NDArray[np.float64], old: tuple[int, int], new: tuple[int, int]) -> NDArray[np.float64]:
     """
     Return the pinhole matrix (3, 3) for an image resized from *old* to *new* (width, height).
 

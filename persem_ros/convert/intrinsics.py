@@ -1,9 +1,12 @@
 """Pinhole matrix and distortion, from a text file, a ROS calibration file or four numbers."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.convert.files import numbers_of, read_lines, read_text
 from persem_ros.errors import PersemError
 import yaml
@@ -36,7 +39,7 @@ class Intrinsics:
     size: tuple = None
 
 
-def read_intrinsics(source):
+def read_intrinsics(source: Path | str) -> Intrinsics:
     """
     Return the Intrinsics of a file or of text.
 
@@ -68,7 +71,7 @@ def read_intrinsics(source):
     return Intrinsics(_checked(values.reshape(side, side)[:3, :3], where))
 
 
-def is_numbers(text):
+def is_numbers(text: str) -> bool | None:
     """
     Whether --intrinsics is fx,fy,cx,cy itself, and no file.
 
@@ -89,12 +92,12 @@ def is_numbers(text):
                       f'{COUNTS.get(count, count)}')
 
 
-def _words(text):
+def _words(text: str) -> list[str]:
     """Return what stands between commas."""
     return [word for word in text.split(',') if word.strip()]
 
 
-def _ros_calibration(path):
+def _ros_calibration(path: Path) -> Intrinsics | None:
     """Return the Intrinsics of a camera_calibration YAML file."""
     try:
         content = yaml.safe_load(read_text(path))
@@ -109,7 +112,7 @@ def _ros_calibration(path):
     return Intrinsics(_checked(K, path), D, model, size)
 
 
-def _checked(K, where):
+def _checked(K: NDArray[np.float64] | list[list[float]], where: str) -> NDArray[np.float64]:
     K = np.array(K, float)
     if not np.isfinite(K).all() or K[0, 0] <= 0 or K[1, 1] <= 0:
         raise PersemError(f'{where}: expected positive focal lengths, got fx = {K[0, 0]:g}, '

@@ -1,14 +1,21 @@
 """Pose files: one matrix a file (7-Scenes, ScanNet), or a trajectory (TUM, KITTI)."""
 
+from __future__ import annotations
+
 from bisect import bisect_left
 from dataclasses import dataclass, field
 import logging
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.convert.files import canonical, numbers_of, read_lines
 from persem_ros.convert.stamps import number_of_name, seconds_to_ns
 from persem_ros.core.transforms import matrix_to_quaternion, slerp, transform
 from persem_ros.errors import PersemError
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 LOG = logging.getLogger(__name__)
 ROTATION_TOLERANCE = 1e-2       # largest entry of |R R^T - I| that is put down to rounding
@@ -39,14 +46,14 @@ class Poses:
     matrices: list = field(default_factory=list)
     lost: list = field(default_factory=list)
 
-    def add(self, key, T):
+    def add(self, key: str, T: NDArray[np.float64]) -> None:
         """Take the pose of a frame, None for a lost one."""
         if T is None:
             self.lost.append(key)
         else:
             self.by_key[key] = T
 
-    def at(self, key, stamp):
+    def at(self, key: str, stamp: int) -> NDArray[np.float64] | None:
         """Return the pose of a frame, interpolated in a trajectory; None where there is none."""
         if not self.stamps:
             return self.by_key.get(key)
@@ -61,7 +68,9 @@ class Poses:
         return transform((1 - f) * a[:3, 3] + f * b[:3, 3], q)
 
 
-def rigid(matrix, where, tolerance=ROTATION_TOLERANCE):
+def rigid(
+        matrix: NDArray[np.float64], where: Path | str, tolerance: float = ROTATION_TOLERANCE
+) -> NDArray[np.float64]:
     """
     Return a 4x4 matrix with the nearest rotation in it.
 
@@ -88,7 +97,7 @@ def rigid(matrix, where, tolerance=ROTATION_TOLERANCE):
     return T
 
 
-def pose_of_numbers(values, where):
+def pose_of_numbers(values: NDArray[np.float64], where: Path | str) -> NDArray[np.float64] | None:
     """
     Return the 4x4 matrix of 16, 12 or 7 numbers, None where one is not finite.
 
@@ -111,7 +120,7 @@ def pose_of_numbers(values, where):
     return transform(values[:3], values[3:] / norm)
 
 
-def poses_from_files(files):
+def poses_from_files(files: dict[str, Path]) -> Poses:
     """Return the Poses of {key: path}, one pose a file."""
     poses = Poses()
     for key, path in files.items():
@@ -121,7 +130,7 @@ def poses_from_files(files):
     return poses
 
 
-def poses_from_trajectory(path, keys, stamped):
+def poses_from_trajectory(path: Path, keys: list[str], stamped: bool) -> Poses | None:
     """
     Return the Poses of a file with one pose a line.
 
@@ -156,7 +165,7 @@ def poses_from_trajectory(path, keys, stamped):
     return poses
 
 
-def _stamped(path, tags, matrices):
+def _stamped(path: Path, tags: list[str], matrices: list[NDArray[np.float64]]) -> Poses:
     """Return the Poses of a trajectory with stamps; the first of two equal stamps counts."""
     poses = Poses()
     order = {}
@@ -174,7 +183,7 @@ def _stamped(path, tags, matrices):
     return poses
 
 
-def _tags_of_lines(path, count, keys):
+def _tags_of_lines(path: Path, count: int, keys: list[str]) -> list[str] | None:
     """Return the frame that each line of a file without stamps belongs to."""
     if count == len(keys):
         return keys

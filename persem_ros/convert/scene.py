@@ -1,13 +1,23 @@
 """What every converter writes: frames and poses, on the topics that a replay reads."""
 
+from __future__ import annotations
+
 from collections import Counter
+from collections.abc import Callable, Iterator
 import logging
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.convert.images import metres
 from persem_ros.errors import PersemError
 from persem_ros.settings.config import Topics
 from tqdm import tqdm
+
+if TYPE_CHECKING:
+    from persem_ros.convert.frames.layout import Item
+    from persem_ros.outputs.recording.writer import RecordingWriter
+    from persem_ros.settings.legend import Legend
 
 LOG = logging.getLogger(__name__)
 MAP, CAMERA = 'map', 'camera'
@@ -37,7 +47,8 @@ class SceneWriter:
 
     """
 
-    def __init__(self, out, legend=None, trajectory=()):
+    def __init__(self, out: RecordingWriter, legend: Legend | None = None,
+                 trajectory: Iterator[Any] = ()) -> None:
         self.counts = Counter()
         self.depth_size = None
         self._out, self._topics = out, Topics()
@@ -48,19 +59,20 @@ class SceneWriter:
         if legend is not None:
             out.text('semantic/legend', legend.to_yaml(), latched=True)
 
-    def labels(self, stamp, array, encoding):
+    def labels(self, stamp: int, array: NDArray[np.uint8], encoding: str) -> None:
         """Write a label image."""
         self._image('labels', self._topics.labels, stamp, array, encoding)
 
-    def truth(self, stamp, array, encoding):
+    def truth(self, stamp: int, array: NDArray[np.uint8], encoding: str) -> None:
         """Write an image of true ids."""
         self._image('truth', self._topics.truth, stamp, array, encoding)
 
-    def color(self, stamp, array, encoding):
+    def color(self, stamp: int, array: NDArray[np.uint8], encoding: str) -> None:
         """Write a colour image."""
         self._image('color', self._topics.color, stamp, array, encoding)
 
-    def depth(self, stamp, array, encoding, K, D=(), model='plumb_bob'):
+    def depth(self, stamp: int, array: NDArray[np.float32], encoding: str, K: NDArray[np.float64],
+              D: tuple[Any, ...] = (), model: str = 'plumb_bob') -> None:
         """Write a depth image and the camera info of its size."""
         height, width = array.shape
         self.depth_size = width, height
@@ -72,7 +84,7 @@ class SceneWriter:
             self._range = (min(self._range[0], depth.min()), max(self._range[1], depth.max()))
             self._kept.append(depth[::-(-depth.size // KEPT)].astype(np.float32))
 
-    def finish(self):
+    def finish(self) -> str:
         """Write the poses that are left; return one line on what was written."""
         while self._next is not None:
             self._pose()
@@ -81,7 +93,7 @@ class SceneWriter:
         return (f'{counts}; {seconds:.3f} s from stamp {min(self._stamps) / 1e9:.3f}; '
                 f'{self._depth_range()}')
 
-    def _depth_range(self):
+    def _depth_range(self) -> str:
         """Return what the depth was, which shows a wrong unit at a glance."""
         if not self._kept:
             return 'no depth was measured'
@@ -90,14 +102,15 @@ class SceneWriter:
             for value in (*self._range, np.median(np.concatenate(self._kept))))
         return f'depth {low} to {high} m, median {middle} m'
 
-    def _image(self, what, topic, stamp, array, encoding):
+    def _image(
+            self, what: str, topic: str, stamp: int, array: NDArray[Any], encoding: str) -> None:
         while self._next is not None and self._next[0] <= stamp:
             self._pose()
         self._out.image(topic, stamp, CAMERA, array, encoding)
         self.counts[what] += 1
         self._stamps.append(stamp)
 
-    def _pose(self):
+    def _pose(self) -> None:
         """Write the next pose as a PoseStamped and to /tf."""
         stamp, T = self._next
         self._out.pose(self._topics.pose, stamp, MAP, T)
@@ -106,7 +119,8 @@ class SceneWriter:
         self._next = next(self._trajectory, None)
 
 
-def write_scene(writer, legend, trajectory, items, write):
+def write_scene(writer: RecordingWriter, legend: Legend | None, trajectory: Iterator[Any],
+                items: list[Item | str], write: Callable[..., Any]) -> str | None:
     """
     Write a whole recording.
 
@@ -134,13 +148,13 @@ def write_scene(writer, legend, trajectory, items, write):
         return scene.finish()
 
 
-def check_scale(scale):
+def check_scale(scale: float) -> None:
     """Refuse a factor on the images' size that enlarges them, or leaves nothing."""
     if not 0 < scale <= 1:
         raise PersemError(f'--scale {scale:g}: expected more than 0 and at most 1')
 
 
-def report_dropped(dropped):
+def report_dropped(dropped: dict[Any, Any]) -> None:
     """
     Warn about frames that were left out.
 
@@ -156,7 +170,7 @@ def report_dropped(dropped):
                         ', …' if len(names) > 5 else '')
 
 
-def chosen(items, frames=None, every=1):
+def chosen(items: list[Item | str], frames: str | None = None, every: int = 1) -> list[Item | str]:
     """
     Return the part of a list that --frames A:B and --every N mean.
 

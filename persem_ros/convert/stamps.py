@@ -1,8 +1,11 @@
 """Stamps in integer nanoseconds, from text: floats since 1970 resolve only 240 ns."""
 
+from __future__ import annotations
+
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 import re
+from typing import Any
 
 from persem_ros.convert.files import canonical, read_lines
 from persem_ros.errors import PersemError
@@ -11,7 +14,7 @@ MAX_SECONDS = 2**31             # builtin_interfaces/Time.sec is an int32
 DIGITS_TO_NS = {10: 10**9, 13: 10**6, 16: 10**3, 19: 1}     # s, ms, us, ns since 1970
 
 
-def seconds_to_ns(text, where='stamp'):
+def seconds_to_ns(text: str, where: str = 'stamp') -> int:
     """
     Return decimal seconds as integer nanoseconds, exactly.
 
@@ -30,7 +33,7 @@ def seconds_to_ns(text, where='stamp'):
     return int((seconds * 1_000_000_000).to_integral_value())
 
 
-def stamp_of_name(name):
+def stamp_of_name(name: str) -> Any:
     """
     Return the stamp that a file name without its ending is, or None.
 
@@ -46,19 +49,19 @@ def stamp_of_name(name):
     return None
 
 
-def number_of_name(name):
+def number_of_name(name: str) -> int:
     """Return the last integer in a file name without its ending, or None."""
     numbers = re.findall(r'\d+', name)
     return int(numbers[-1]) if numbers else None
 
 
-def stamps_from_names(keys):
+def stamps_from_names(keys: dict[str, Path] | list[str]) -> dict[str, int] | None:
     """Return {key: stamp} where all names are stamps, or None."""
     stamps = {key: stamp_of_name(key) for key in keys}
     return None if None in stamps.values() else stamps
 
 
-def stamps_from_rate(keys, rate, start):
+def stamps_from_rate(keys: list[str], rate: float, start: float) -> dict[str, int]:
     """
     Return {key: stamp}: the number in the name over *rate* [Hz], after *start* [s].
 
@@ -73,7 +76,7 @@ def stamps_from_rate(keys, rate, start):
             for key, number in zip(keys, numbers, strict=True)}
 
 
-def stamps_from_file(path, keys):
+def stamps_from_file(path: Path | str, keys: list[str]) -> dict[str, int] | None:
     """
     Return {key: stamp} from a text file.
 
@@ -108,7 +111,7 @@ def stamps_from_file(path, keys):
     return stamps
 
 
-def _key(name, known):
+def _key(name: str, known: dict[str, str]) -> str | None:
     """Return the key that a name, a path or a path without its ending stands for, or None."""
     path = Path(name)
     for form in (name, path.name, path.stem):

@@ -1,14 +1,19 @@
 """Is the depth in the unit that its files are read in? Frames with known poses tell it."""
 
+from __future__ import annotations
+
 import logging
 
+import numpy as np
+from numpy.typing import NDArray
 from persem_ros.convert.images import UNITS
 from persem_ros.core.agreement import unit_factor, WORST
 
 LOG = logging.getLogger(__name__)
 
 
-def check_unit(depths, poses, K, per_metre):
+def check_unit(depths: dict[int, NDArray[np.float64]], poses: dict[int, NDArray[np.float64]],
+               K: NDArray[np.float64], per_metre: float) -> tuple[float, float]:
     """
     Warn when another unit fits better than *per_metre*, the stored units that make a metre.
 
@@ -29,7 +34,7 @@ def check_unit(depths, poses, K, per_metre):
     return factor, now
 
 
-def name_of_unit(per_metre):
+def name_of_unit(per_metre: float) -> str:
     """Return m, cm or mm, or else the number of units that make a metre."""
     for name, value in UNITS.items():
         if abs(per_metre / value - 1) < 1e-6:

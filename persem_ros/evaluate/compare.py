@@ -1,7 +1,10 @@
 """Two results side by side: what differs in their making and in their numbers."""
 
+from __future__ import annotations
+
 import json
 from pathlib import Path
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from persem_ros.errors import PersemError
@@ -15,8 +18,11 @@ from persem_ros.outputs.files import write_text
 from persem_ros.settings.config import nearest
 from persem_ros.settings.parameter_file import read
 
+if TYPE_CHECKING:
+    from persem_ros.evaluate.show.table import Table
 
-def load(folder):
+
+def load(folder: Path | str) -> dict[str, Any] | None:
     """
     Return a result as a dict: sequences {name: metrics}, settings, versions, blocks, origin.
 
@@ -53,7 +59,9 @@ def load(folder):
                       'metrics.json of persem replay')
 
 
-def compare(a, b, out=None):
+def compare(
+        a: Path | str, b: Path | str, out: str | None = None
+) -> tuple[list[str], list[Table]] | None:
     """
     Compare two results; draw both where *out* is given.
 
@@ -82,7 +90,9 @@ def compare(a, b, out=None):
     return lines, found
 
 
-def _pairs(first, second, a, b):
+def _pairs(
+        first: dict[str, Any], second: dict[str, Any], a: Path | str, b: Path | str
+) -> list[tuple[str, str]]:
     """Return the names of sequences that belong together, (in the first, in the second)."""
     ours, theirs = list(first['sequences']), list(second['sequences'])
     both = [(name, name) for name in ours if name in theirs]
@@ -94,7 +104,7 @@ def _pairs(first, second, a, b):
     return both
 
 
-def _table(first, second, name, other):
+def _table(first: dict[str, Any], second: dict[str, Any], name: str, other: str) -> Table:
     """Return the measures of one sequence in both, and their difference."""
     one, two = first['sequences'][name], second['sequences'][other]
     methods = [m for m in one['methods'] if m in two['methods']]
@@ -119,7 +129,8 @@ def _table(first, second, name, other):
                        (len(rows) - 1,))
 
 
-def _intervals(first, second, name, other, methods):
+def _intervals(first: dict[str, Any], second: dict[str, Any], name: str, other: str,
+               methods: list[str]) -> dict[tuple[str, str], tuple[float, float]]:
     """Return {(method, measure): (low, high)} of B - A where both looked at the same frames."""
     blocks = [result['blocks'].get(key) for result, key in ((first, name), (second, other))]
     if None in blocks or not np.array_equal(blocks[0]['frame/stamp'], blocks[1]['frame/stamp']):
@@ -138,7 +149,8 @@ def _intervals(first, second, name, other, methods):
     return found
 
 
-def _draw(folder, pairs, first, second, names):
+def _draw(folder: Path, pairs: list[tuple[str, str]], first: dict[str, Any],
+          second: dict[str, Any], names: tuple[str, str]) -> None:
     """Draw both results: arrows from A to B, flicker against mean IoU."""
     from persem_ros.evaluate.show import page
     page.check()

@@ -1,10 +1,15 @@
 """Recordings become a folder of tables, figures and a report: `persem evaluate`."""
 
+from __future__ import annotations
+
 from collections import Counter
 import json
 import logging
 from pathlib import Path
+from typing import Any, TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
 from persem_ros.errors import PersemError
 from persem_ros.evaluate.measure import combine
 from persem_ros.evaluate.measure.taxonomy import taxonomy
@@ -19,12 +24,17 @@ from persem_ros.settings import config_file
 from persem_ros.settings.config import nearest
 from persem_ros.settings.legend import Legend
 
+if TYPE_CHECKING:
+    from persem_ros.settings.config import Config
+
 log = logging.getLogger(__name__)
 REQUEST = 'request.json'        # what the folder is an evaluation of
 
 
-def evaluate(recordings, out, config, methods=ALL_METHODS, labels='', grouped=False,
-             dynamic=True, predictions='', workers=0, scheduler='', force=False, figures=True):
+def evaluate(recordings: list[Path | str], out: Path | str, config: Config,
+             methods: tuple[str, ...] = ALL_METHODS, labels: str = '', grouped: bool = False,
+             dynamic: bool = True, predictions: str = '', workers: int = 0, scheduler: str = '',
+             force: bool = False, figures: bool = True) -> dict[str, Any] | None:
     """
     Evaluate recordings into a folder; what is finished there is not computed again.
 
@@ -85,7 +95,7 @@ def evaluate(recordings, out, config, methods=ALL_METHODS, labels='', grouped=Fa
     return evaluation
 
 
-def write(folder, evaluation):
+def write(folder: Path, evaluation: dict[str, Any]) -> None:
     """Write evaluation.json and the tables in all forms."""
     write_json(folder / 'evaluation.json', evaluation)
     found = tables(evaluation)
@@ -96,7 +106,10 @@ def write(folder, evaluation):
     write_text(folder / 'tables.md', '\n'.join(table.markdown(item) for item in found))
 
 
-def compute(tasks, workers=0, scheduler='', frames=None):
+def compute(
+        tasks: dict[Path, Task], workers: int = 0, scheduler: str = '',
+        frames: list[int] | None = None
+) -> dict[Path, tuple[dict[str, Any], dict[str, NDArray[np.int64]]]] | None:
     """
     Return {folder: (summary, arrays)} of tasks by their folder, in their order.
 
@@ -117,7 +130,7 @@ def compute(tasks, workers=0, scheduler='', frames=None):
     return found
 
 
-def prepare(out, request, force=False):
+def prepare(out: Path | str, request: dict[str, Any], force: bool = False) -> Path | None:
     """
     Return the folder *out*, new or with a part of the same evaluation.
 
@@ -149,7 +162,7 @@ def prepare(out, request, force=False):
     return folder
 
 
-def check(task):
+def check(task: Task) -> int | None:
     """Return the frames that a task will read; refuse what cannot be used, before the work."""
     if task.config.map.path:
         raise PersemError('map.path: an evaluation begins with an empty map; leave it out')
@@ -165,7 +178,7 @@ def check(task):
         return 2 * recording.expected
 
 
-def warn(results):
+def warn(results: dict[str, tuple[dict[str, Any], dict[str, NDArray[np.int64]]]]) -> None:
     """Say what was left out of the sequences."""
     for name, (summary, _) in results.items():
         outside = summary['outside_taxonomy']
@@ -179,7 +192,7 @@ def warn(results):
             log.warning('%s: %s', name, note)
 
 
-def chosen_methods(methods):
+def chosen_methods(methods: tuple[str, ...]) -> tuple[str, ...] | None:
     """Return methods in the usual order; refuse unknown ones."""
     for name in methods:
         if name not in ALL_METHODS:
@@ -188,7 +201,7 @@ def chosen_methods(methods):
     return tuple(name for name in ALL_METHODS if name in methods)
 
 
-def named(recordings):
+def named(recordings: list[Path | str]) -> dict[str, Path]:
     """Return {name: path} of recordings, the names made different."""
     names, result = Counter(), {}
     for path in map(Path, recordings):
@@ -199,7 +212,7 @@ def named(recordings):
     return result
 
 
-def predictions_of(folder, name, recordings):
+def predictions_of(folder: str, name: str, recordings: int) -> str:
     """Return the folder of one recording's predictions."""
     if folder and recordings > 1:
         folder = Path(folder) / name
@@ -209,7 +222,7 @@ def predictions_of(folder, name, recordings):
     return str(folder)
 
 
-def request_of(task):
+def request_of(task: Task) -> dict[str, Any]:
     """Return what all sequences of a folder share, as JSON."""
     found = manifest.identity(task)
     return {name: found[name] for name in (

@@ -1,9 +1,12 @@
 """The same recordings under many settings: `persem sweep`."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 import itertools
 import json
 import math
+from typing import Any, TYPE_CHECKING
 
 from persem_ros.errors import PersemError
 from persem_ros.evaluate import run
@@ -19,12 +22,19 @@ from persem_ros.settings import config_file
 from persem_ros.settings.config import nearest, settings, updated
 from persem_ros.settings.parameter_file import parse
 
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from persem_ros.evaluate.show.table import Table
+    from persem_ros.settings.config import Config
+
 METHODS = ('raw2d', 'ema2d', 'majority', 'persem')
 DISTURB = 'disturb.'
 MOST = 2000         # points; more is a mistake in the command line
 
 
-def parse_vary(items, config):
+def parse_vary(
+        items: list[str], config: Config) -> dict[str, list[float | str | tuple[int, ...]]] | None:
     """
     Return {name: list of values} of options like refine.eta=0,0.1,0.3.
 
@@ -55,7 +65,7 @@ def parse_vary(items, config):
     return axes
 
 
-def _split(text):
+def _split(text: str) -> list[str]:
     """Return the words between commas; commas in brackets part nothing."""
     words, depth = [''], 0
     for c in text:
@@ -67,7 +77,7 @@ def _split(text):
     return [word.strip() for word in words if word.strip()]
 
 
-def _checked(name, text, config):
+def _checked(name: str, text: str, config: Config) -> float | str | None:
     """Return the value that a text means for a setting; refuse what does not fit."""
     if name.startswith(DISTURB):
         try:
@@ -80,8 +90,10 @@ def _checked(name, text, config):
     return next(v for n, v, _ in settings(changed) if n == name)
 
 
-def sweep(recordings, out, config, axes, methods=METHODS, labels='', grouped=False,
-          dynamic=True, predictions='', workers=0, scheduler='', force=False, figures=True):
+def sweep(recordings: list[Path | str], out: Path | str, config: Config,
+          axes: dict[str, list[float | str]], methods: tuple[str, ...] = METHODS, labels: str = '',
+          grouped: bool = False, dynamic: bool = True, predictions: str = '', workers: int = 0,
+          scheduler: str = '', force: bool = False, figures: bool = True) -> dict[str, Any] | None:
     """
     Evaluate recordings at every combination of the values of *axes* (parse_vary).
 
@@ -130,7 +142,7 @@ def sweep(recordings, out, config, axes, methods=METHODS, labels='', grouped=Fal
     return result
 
 
-def with_values(task, values):
+def with_values(task: Task, values: dict[str, float | str]) -> Task:
     """Return a task with some settings and disturbances changed."""
     disturbance = task.disturbance
     for name, value in values.items():
@@ -141,7 +153,7 @@ def with_values(task, values):
     return replace(task, config=config, disturbance=disturbance)
 
 
-def points_table(result):
+def points_table(result: dict[str, Any]) -> Table:
     """Return all points as a Table: the values in front, then measures by method."""
     columns = tuple(table.Column({'pixel_accuracy': 'PA', 'miou': 'mIoU', 'flicker': 'Flicker'}[k],
                                  BETTER[k], method) for method in result['methods']
@@ -161,7 +173,7 @@ def points_table(result):
         'sweep', title, tuple(result['axes']), columns, rows))
 
 
-def _point(values, summaries):
+def _point(values: dict[str, float | str], summaries: dict[str, dict[str, Any]]) -> dict[str, Any]:
     """Return what sweep.json has of one point."""
     rows = {name: {
         'truth_flicker': s['truth_flicker'], 'voxels': s['voxels'],
@@ -178,7 +190,7 @@ def _point(values, summaries):
             'mean': average}
 
 
-def _request(task, axes):
+def _request(task: Task, axes: dict[str, list[float | str]]) -> dict[str, Any]:
     """Return what all points of a folder share, as JSON."""
     request = run.request_of(task)
     request['settings'] = {name: value for name, value in request['settings'].items()
@@ -186,5 +198,5 @@ def _request(task, axes):
     return json.loads(json.dumps({**request, 'axes': sorted(axes)}))
 
 
-def _plain(value):
+def _plain(value: float | str) -> float | str:
     return list(value) if isinstance(value, tuple) else value

@@ -1,8 +1,12 @@
 """Every setting once: name, default, unit, range and help text (spec section 7)."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 import difflib
 import math
+from typing import Any
 
 from persem_ros.errors import PersemError
 
@@ -17,7 +21,10 @@ _QOS = 'auto', ('auto: reliable while every publisher found offers it, else best
                 'reliable, and the last message of before is asked for')
 
 
-def setting(default, text, unit='', low=None, high=None, choices=None, live=True):
+def setting(
+        default: Any, text: str, unit: str = '', low: float | None = None,
+        high: float | None = None, choices: tuple[str, ...] | None = None, live: bool = True
+) -> Any:
     """
     Declare one setting.
 
@@ -259,7 +266,9 @@ class Config:
     camera_topics: tuple = ()   # ((name, Topics), ...), filled from cameras.<name>.topics.*
 
 
-def settings(config=None, prefix=''):
+def settings(
+        config: Config | Memory | Refine | None = None, prefix: str = ''
+) -> Iterator[tuple[str, float | str | tuple[int, ...], Any]]:
     """
     Yield every setting of *config* as (dotted name, value, metadata).
 
@@ -278,7 +287,7 @@ def settings(config=None, prefix=''):
             yield from settings(topics, f'cameras.{camera}.topics.')
 
 
-def updated(config, values):
+def updated(config: Config, values: dict[str, Any]) -> Config:
     """
     Return *config* with {dotted name: value} applied.
 
@@ -304,7 +313,7 @@ def updated(config, values):
     return config
 
 
-def nearest(name, known):
+def nearest(name: str, known: Sequence[str] | dict[str, Any]) -> str:
     """Return ", did you mean 'x'?" for the name in *known* that is nearest, or ''."""
     near = difflib.get_close_matches(str(name), [str(k) for k in known], n=1, cutoff=0.5)
     if not near:
@@ -313,12 +322,12 @@ def nearest(name, known):
     return f', did you mean {near[0]!r}?' if near else ''
 
 
-def topics_of(config, camera=''):
+def topics_of(config: Config, camera: str = '') -> Topics:
     """Return the Topics of one camera ('' where there is only one)."""
     return dict(config.camera_topics).get(camera, config.topics)
 
 
-def _camera_topics(config):
+def _camera_topics(config: Config) -> tuple[Any, ...]:
     """Topics of every named camera: its own where given, else the shared names below its name."""
     old = dict(config.camera_topics)
     result = []
@@ -329,7 +338,7 @@ def _camera_topics(config):
     return tuple(result)
 
 
-def _checked(name, value, default, meta):
+def _checked(name: str, value: Any, default: Any, meta: Any) -> Any:
     """Return *value* in the type of *default*, or refuse it."""
     kind = type(default)
     if hasattr(value, 'tolist'):    # NumPy's numbers and arrays; nothing here imports it
@@ -363,7 +372,7 @@ def _checked(name, value, default, meta):
     return value
 
 
-def _words(kind, default, meta):
+def _words(kind: type[Any], default: float, meta: Any) -> str:
     """Return what a value should be, in words: a number (m), for example 0.5."""
     unit = f' ({meta["unit"]})' if meta.get('unit') else ''
     if kind in (bool, str):
@@ -371,7 +380,7 @@ def _words(kind, default, meta):
     return f'{ONE[kind]}{unit}, for example {default!r}'
 
 
-def _check_together(config):
+def _check_together(config: Config) -> None:
     """Refuse values that are fine alone and wrong together."""
     if config.refine.neighbours not in (6, 18, 26):
         raise PersemError(
@@ -382,7 +391,9 @@ def _check_together(config):
             f'({config.memory.max_depth} m), got {config.memory.min_depth} m')
 
 
-def _with(config, path, value):
+def _with(
+        config: Config | Memory | Refine, path: list[str], value: float | str | tuple[int, ...]
+) -> Config | Memory | Refine:
     """Return *config* with the setting at *path* replaced."""
     head, *rest = path
     if head == 'cameras' and rest:

@@ -1,16 +1,25 @@
 """Settings as YAML in ROS form, read by the node and the command line alike."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 import textwrap
+from typing import Any, TYPE_CHECKING
 
 from persem_ros.errors import PersemError
 from persem_ros.settings.config import Config, nearest, settings, updated
 from persem_ros.settings.parameter_file import parse, read, read_text, scalar
 
+if TYPE_CHECKING:
+    from pathlib import Path
+
 NODE_DEFAULTS = {'memory.max_history': 128}     # where the node's default is another
 HEADER = 'Settings of persem_ros, read by the node and by the command line (--config).'
 
 
-def from_args(config_path=None, set_items=(), node=False):
+def from_args(
+        config_path: Path | None = None, set_items: Sequence[Any] = (), node: bool = False
+) -> Config | None:
     """
     Return the Config that a command line asks for.
 
@@ -42,13 +51,14 @@ def from_args(config_path=None, set_items=(), node=False):
     return from_values({**values, **items}, base)
 
 
-def given_names(config_path=None, set_items=()):
+def given_names(config_path: Any = None, set_items: list[str] = ()) -> set[str]:
     """Return the set of names that the file and the options of from_args give."""
     names = {parse_item(item)[0] for item in set_items}
     return names | set(read(config_path) if config_path else ())
 
 
-def from_values(values, config=None, source=''):
+def from_values(values: dict[str, float | list[float | str] | str], config: Config | None = None,
+                source: str = '') -> Config | None:
     """
     Return *config* (default: all defaults) with {dotted name: value} applied.
 
@@ -65,7 +75,7 @@ def from_values(values, config=None, source=''):
         raise PersemError(f'{source}{error}') from None
 
 
-def from_file(path, config=None):
+def from_file(path: Path | str, config: Config | None = None) -> Config | None:
     """
     Return *config* (default: all defaults) with the settings of a YAML file applied.
 
@@ -81,12 +91,12 @@ def from_file(path, config=None):
     return _applied(read(path), path, config)
 
 
-def from_text(text, name):
+def from_text(text: str, name: str) -> Config:
     """Return the Config of a YAML text in ROS form; *name* stands for it in refusals."""
     return _applied(read_text(text, name), name, None)
 
 
-def _applied(entries, path, config):
+def _applied(entries: dict[str, Any], path: Path | str, config: Config | None) -> Config | None:
     """Return *config* with the entries {name: (value, line)} of a file applied."""
     values = {name: value for name, (value, _) in entries.items()}
     try:
@@ -100,7 +110,7 @@ def _applied(entries, path, config):
         raise PersemError(f'{place}: {text}') from None
 
 
-def parse_item(item):
+def parse_item(item: str) -> tuple[str, Any] | None:
     """
     Return (name, value) of a 'name=value' option.
 
@@ -127,7 +137,7 @@ def parse_item(item):
         raise PersemError(f'--set {item}: cannot be read; lists are written [1, 2]') from None
 
 
-def to_yaml(config, left_out=()):
+def to_yaml(config: Config, left_out: set[str] | tuple[Any, ...] = ()) -> str:
     """
     Return *config* as YAML in ROS form, each setting with its help text, unit and range.
 
@@ -158,7 +168,7 @@ def to_yaml(config, left_out=()):
     return '\n'.join(lines) + '\n'
 
 
-def to_markdown():
+def to_markdown() -> str:
     """Return the table of all settings that docs/parameters.md shows."""
     lines = ['# Settings', '',
              'Written by `persem config --markdown`. The names are ROS parameter names; on the',
@@ -178,7 +188,7 @@ def to_markdown():
     return '\n'.join(lines) + '\n'
 
 
-def comment(name, meta):
+def comment(name: str, meta: Any) -> str:
     """Return a setting's help text with unit, range and the node's default in one line."""
     bounds = ' '.join(part for part in (span(meta), meta['unit']) if part)
     text = meta['help'] + (f' [{bounds}]' if bounds else '')
@@ -187,7 +197,7 @@ def comment(name, meta):
     return text
 
 
-def span(meta):
+def span(meta: Any) -> str:
     """Return a setting's range or choices as text, '' where everything goes."""
     if meta['choices']:
         return ', '.join(meta['choices'])

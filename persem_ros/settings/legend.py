@@ -1,5 +1,8 @@
 """The noun legend: what a class id is called, its colour, its group."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 import logging
@@ -8,8 +11,10 @@ from pathlib import Path
 import site
 import sys
 import sysconfig
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.errors import PersemError
 from persem_ros.frames import MAX_ID, UNKNOWN
 from persem_ros.settings.config import nearest
@@ -65,14 +70,14 @@ class Legend:
     _warned: list = field(default_factory=list, repr=False)
     unlabelled: tuple = ()
 
-    def __eq__(self, other):
+    def __eq__(self, other: Legend) -> bool:
         """Legends are equal when their classes are, whatever they are called."""
         return isinstance(other, Legend) and self.classes == other.classes
 
     __hash__ = None
 
     @classmethod
-    def from_yaml(cls, text, source='legend'):
+    def from_yaml(cls, text: str, source: str = 'legend') -> Legend | None:
         """
         Read a legend from YAML text; *source* names it in refusals.
 
@@ -99,12 +104,12 @@ class Legend:
             seen[item.id] = item.name
         return cls(str(content.get('title', '')), classes)
 
-    def ignoring(self, ids):
+    def ignoring(self, ids: tuple[int, ...]) -> Legend:
         """Return the same legend, to which the *ids* that are no class of it are ignored ones."""
         return Legend(self.title, self.classes, unlabelled=tuple(
             c for c in ids if 0 <= c <= UNKNOWN and c not in self.ids))
 
-    def to_yaml(self):
+    def to_yaml(self) -> str:
         """Return the legend as YAML text, one line a class; from_yaml reads it back."""
         lines = [f'title: {_scalar(self.title)}', 'classes:']
         for item in self.classes:
@@ -115,28 +120,28 @@ class Legend:
         return '\n'.join(lines) + '\n' if self.classes else ''
 
     @property
-    def ids(self):
+    def ids(self) -> tuple[int, ...]:
         """All ids of the legend, as a tuple in its order."""
         return tuple(item.id for item in self.classes)
 
     @property
-    def ignored(self):
+    def ignored(self) -> tuple[int, ...]:
         """Return the ids that are not observations, as a tuple."""
         return tuple(item.id for item in self.classes if item.ignored)
 
     @property
-    def dynamic(self):
+    def dynamic(self) -> tuple[int, ...]:
         """Return the ids of things that move, as a tuple."""
         return tuple(item.id for item in self.classes if item.dynamic)
 
-    def name(self, label):
+    def name(self, label: int) -> str:
         """Return the name of a class id, 'class 7' for an id that the legend does not know."""
         item = self._by_id.get(int(label))
         if item is None and int(label) in self.unlabelled:
             return 'ignored'
         return item.name if item else f'class {int(label)}'
 
-    def groups(self):
+    def groups(self) -> dict[str, tuple[int, ...]]:
         """Return {group: tuple of ids}, ignored ids left out, in the order of the legend."""
         result = {}
         for item in self.classes:
@@ -144,11 +149,11 @@ class Legend:
                 result[item.group] = result.get(item.group, ()) + (item.id,)
         return result
 
-    def color(self, label):
+    def color(self, label: int) -> tuple[int, int, int]:
         """Return the colour (red, green, blue) of one class id."""
         return tuple(int(v) for v in self.colors(np.array([label], np.int32))[0])
 
-    def colors(self, ids):
+    def colors(self, ids: NDArray[Any]) -> NDArray[np.uint8]:
         """
         Return the colours of an array of ids.
 
@@ -175,7 +180,7 @@ class Legend:
             self._warn(packed, ids)
         return np.ascontiguousarray(packed.view(np.uint8).reshape(*ids.shape, 4)[..., :3])
 
-    def _warn(self, packed, ids):
+    def _warn(self, packed: NDArray[np.uint32], ids: NDArray[Any]) -> None:
         """Log the ids that the legend does not know, once in its life."""
         strange = packed.view(np.uint8).reshape(*ids.shape, 4)[..., 3] == 0
         if strange.any():
@@ -185,11 +190,11 @@ class Legend:
                         f' {self.title!r}' if self.title else '')
 
     @cached_property
-    def _by_id(self):
+    def _by_id(self) -> dict[int, LegendClass]:
         return {item.id: item for item in self.classes}
 
     @cached_property
-    def _palette(self):
+    def _palette(self) -> NDArray[np.uint32]:
         """Red, green, blue and "known" of every id as one uint32, shape (65536,)."""
         table = np.zeros((UNKNOWN + 1, 4), np.uint8)
         table[:, :3] = made_up_colors(np.arange(UNKNOWN + 1))
@@ -200,7 +205,7 @@ class Legend:
         return table.view(np.uint32).ravel()
 
 
-def made_up_colors(ids):
+def made_up_colors(ids: NDArray[np.int64] | list[int]) -> NDArray[np.uint8]:
     """Return distinct colours, shape (n, 3), uint8, for ids without a legend; fixed per id."""
     ids = np.asarray(ids, np.int64)
     hue = ids * 0.6180339887498949 % 1.0            # the golden ratio never comes near itself
@@ -211,7 +216,7 @@ def made_up_colors(ids):
         .astype(np.uint8)
 
 
-def load_legend(name):
+def load_legend(name: Path | str) -> Legend | None:
     """
     Return the Legend of a shipped name (town, uavscenes, forest, cityscapes) or of a file.
 
@@ -233,7 +238,7 @@ def load_legend(name):
     return Legend.from_yaml(text, str(path))
 
 
-def shipped_legends():
+def shipped_legends() -> dict[str, Path]:
     """Return {name: path} of the legends that came with the package."""
     for folder in _folders():
         files = sorted(folder.glob('*.yaml'))
@@ -243,7 +248,7 @@ def shipped_legends():
                       "below the installation's prefix; reinstall persem_ros")
 
 
-def _folders():
+def _folders() -> Iterator[Path]:
     """Yield where config/labels may be: source tree, environment, ROS prefixes."""
     root = Path(__file__).resolve().parents[2]
     yield root / 'config' / 'labels'
@@ -253,7 +258,7 @@ def _folders():
         yield Path(prefix) / 'share' / 'persem_ros' / 'config' / 'labels'
 
 
-def _class(row, where):
+def _class(row: dict[str, Any], where: str) -> LegendClass:
     """Return the LegendClass of one row of the file, or refuse it."""
     if not isinstance(row, dict):
         raise PersemError(f'{where}: expected {{id, name, color, ...}}, got {row!r:.60}')
@@ -277,7 +282,7 @@ def _class(row, where):
                        str(row.get('group') or name), **flags)
 
 
-def _color(value, number, where):
+def _color(value: list[int] | str | None, number: int, where: str) -> tuple[int, int, int]:
     """Return (red, green, blue) of [r, g, b], '#rrggbb' or nothing."""
     if value is None:
         return tuple(int(v) for v in made_up_colors([number])[0])
@@ -293,10 +298,10 @@ def _color(value, number, where):
                       f'got {value!r:.60}')
 
 
-def _scalar(text):
+def _scalar(text: str) -> str:
     """Return *text* as a YAML scalar that fits into one line."""
     return yaml.safe_dump(text, default_style='"', width=1 << 20, allow_unicode=True).strip()
 
 
-def _one_line(error):
+def _one_line(error: Any) -> str:
     return ' '.join(str(error).split())

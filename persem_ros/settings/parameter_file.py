@@ -1,8 +1,12 @@
 """YAML in the form of ROS parameter files: text to values with their lines, and back."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator
 import copy
 from pathlib import Path
 import re
+from typing import Any
 
 from persem_ros.errors import PersemError
 import yaml
@@ -29,7 +33,7 @@ _Loader.add_implicit_resolver(
                r'|[-+]?\.(inf|Inf|INF)$|\.(nan|NaN|NAN)$'), list('-+.0123456789'))
 
 
-def read(path):
+def read(path: Path) -> dict[str, Any] | None:
     """Return {dotted name: (value, line)} of a YAML file in ROS form."""
     try:
         text = Path(path).read_text(encoding='utf-8')
@@ -41,7 +45,7 @@ def read(path):
     return read_text(text, path)
 
 
-def read_text(text, path):
+def read_text(text: str, path: Path | str) -> dict[str, Any] | None:
     """
     Return {dotted name: (value, line)} of a YAML text in ROS form.
 
@@ -82,7 +86,7 @@ def read_text(text, path):
     return {name: entry for name, entry in entries.items() if not ROS_OWN.match(name)}
 
 
-def parse(text):
+def parse(text: str) -> Any:
     """Return one value written in YAML; ValueError where it is none."""
     try:
         return yaml.load(text, _Loader)     # a SafeLoader: values only, no objects
@@ -90,7 +94,7 @@ def parse(text):
         raise ValueError(str(error)) from None
 
 
-def scalar(value):
+def scalar(value: Any) -> str:
     """Return a value as YAML that ROS reads with the same type."""
     if isinstance(value, tuple):
         return '[' + ', '.join(scalar(item) for item in value) + ']'
@@ -101,7 +105,7 @@ def scalar(value):
     return yaml.safe_dump(value).split('\n')[0]
 
 
-def _sections(node, path, file):
+def _sections(node: Any, path: str, file: Path) -> Iterator[tuple[str, Any]]:
     """Yield (node name, mapping below ros__parameters) of every node in the file."""
     if not isinstance(node, yaml.MappingNode):
         return
@@ -115,12 +119,12 @@ def _sections(node, path, file):
             yield from _sections(value, f'{path}/{str(key.value).strip("/")}', file)
 
 
-def _is_ours(name):
+def _is_ours(name: str) -> bool:
     """Tell whether a node name of a parameter file means the mapper, in any namespace."""
     return name.rpartition('/')[2] in (NODE, '*', '**')
 
 
-def _flat(node, prefix, file):
+def _flat(node: Any, prefix: str, file: Path) -> dict[str, Any]:
     """Return {dotted name: (value, line)} of a mapping node."""
     entries = {}
     for key, value in node.value:

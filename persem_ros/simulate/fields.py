@@ -1,8 +1,12 @@
 """Smooth random fields: a sum of waves whose correlation is a Gaussian of stated length."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.core.jit import cached
 
 
@@ -26,14 +30,14 @@ class Field:
     waves: np.ndarray
     phases: np.ndarray
 
-    def __call__(self, points):
+    def __call__(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the field, shape (m,), float32, at *points*, shape (m, d), float32."""
         out = np.empty(len(points), np.float32)
         sum_of_waves(points, self.waves, self.phases, out)
         return out
 
 
-def make_field(rng, lengths, waves=32):
+def make_field(rng: np.random.Generator, lengths: Sequence[float], waves: int = 32) -> Field:
     """
     Draw a Field from the generator *rng*.
 

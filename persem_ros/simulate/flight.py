@@ -1,11 +1,15 @@
 """A whole simulated flight: frames for tests and benchmarks, or a recording."""
 
+from __future__ import annotations
+
 from collections import deque
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
-
+from numpy.typing import NDArray
 from persem_ros.frames import Frame, IGNORED, pinhole
 from persem_ros.inputs.sync.poses import interpolated
 from persem_ros.settings.legend import load_legend
@@ -16,6 +20,10 @@ from persem_ros.simulate.render import Renderer
 from persem_ros.simulate.segmenter import Segmenter
 from persem_ros.simulate.sensor import measured, recorded
 from persem_ros.simulate.world import make_world
+
+if TYPE_CHECKING:
+    from persem_ros.outputs.recording.writer import RecordingWriter
+    from persem_ros.simulate.render import View
 
 START = 1_700_000_000_000_000_000       # nanoseconds, stamp of the first pose
 POSE_STEP = 10_000_000                  # nanoseconds between poses: 100 Hz
@@ -51,7 +59,7 @@ class Flight:
 
     """
 
-    def __init__(self, plan=None, workers=2):
+    def __init__(self, plan: Plan | None = None, workers: int = 2) -> None:
         plan = Plan() if plan is None else plan
         check(plan)
         self.plan, self.workers = plan, workers
@@ -72,17 +80,17 @@ class Flight:
         self._segmenter = Segmenter(np.random.default_rng([plan.seed, 4]), plan.mistakes)
         self._renderer = Renderer(make_world(plan.seed), self.camera)
 
-    def body(self, stamp):
+    def body(self, stamp: int) -> NDArray[np.float64]:
         """Return the true T_map_body, 4x4, at *stamp* (ns)."""
         return self.path.body((stamp - START) / 1e9)
 
-    def recorded_camera(self, stamp):
+    def recorded_camera(self, stamp: int) -> NDArray[np.float64]:
         """Return T_map_camera, 4x4, at *stamp* (ns), interpolated between recorded poses."""
         i = (stamp - START) // POSE_STEP
         fraction = (stamp - self.pose_stamps[i]) / POSE_STEP
         return interpolated(self.poses[i], self.poses[i + 1], fraction) @ self.T_body_camera
 
-    def shots(self):
+    def shots(self) -> Iterator[Shot]:
         """Yield the Shot of every image, in order."""
         if self.workers < 2:
             yield from map(self.shot, range(self.plan.frames))
@@ -100,7 +108,7 @@ class Flight:
                 for future in ahead:
                     future.cancel()
 
-    def frames(self):
+    def frames(self) -> Iterator[Frame]:
         """Yield every image as a persem_ros.frames.Frame with truth and colour, in order."""
         for shot in self.shots():
             labels, truth = (np.where(image == VOID, IGNORED, image.astype(np.int32))
@@ -109,12 +117,12 @@ class Flight:
                         self.recorded_camera(shot.stamp), frame_id=OPTICAL, encoding='mono8',
                         truth=truth, color=shot.color)
 
-    def view(self, index):
+    def view(self, index: int) -> View:
         """Return the render.View of image *index*, without any error."""
         stamp = self.stamps[index]
         return self._renderer.render(self.body(stamp) @ self.T_body_camera, (stamp - START) / 1e9)
 
-    def shot(self, index):
+    def shot(self, index: int) -> Shot:
         """Return the Shot of image *index*; it does not depend on the others."""
         rng = np.random.default_rng([self.plan.seed, 5, index])
         view = self.view(index)
@@ -123,7 +131,7 @@ class Flight:
         depth = measured(view, self.plan.depth_errors, rng)
         return Shot(self.stamps[index], labels, view.labels, depth, view.color)
 
-    def record(self, writer, progress=iter):
+    def record(self, writer: RecordingWriter, progress: Callable[..., Any] = iter) -> None:
         """
         Write the flight to a persem_ros.outputs.recording.writer.RecordingWriter.
 
@@ -141,7 +149,7 @@ class Flight:
         for stamp, T in poses:
             _write_pose(writer, stamp, T)
 
-    def _write_shot(self, writer, shot):
+    def _write_shot(self, writer: RecordingWriter, shot: Shot) -> None:
         plan, stamp = self.plan, shot.stamp
         writer.camera_info('/depth/camera_info', stamp, OPTICAL, plan.width, plan.height,
                            self.camera.K, D=[0.0] * 5)
@@ -151,7 +159,7 @@ class Flight:
         writer.image('/semantic/truth', stamp, OPTICAL, shot.truth, 'mono8')
 
 
-def mounting(tilt):
+def mounting(tilt: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return (T_body_mount, T_mount_camera): a camera that looks *tilt* degrees down."""
     T_body_mount, T_mount_camera = np.eye(4), np.eye(4)
     T_body_mount[:3, :3] = rotation(0.0, np.radians(tilt), 0.0)
@@ -160,6 +168,6 @@ def mounting(tilt):
     return T_body_mount, T_mount_camera
 
 
-def _write_pose(writer, stamp, T):
+def _write_pose(writer: RecordingWriter, stamp: int, T: NDArray[np.float64]) -> None:
     writer.pose('/pose', stamp, MAP, T, 'Odometry', BODY)
     writer.tf(stamp, MAP, BODY, T)

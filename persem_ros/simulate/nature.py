@@ -1,12 +1,22 @@
 """The plants: a forest, trees along the river and in gardens, bushes."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 import numpy as np
-from persem_ros.simulate import shapes
-from persem_ros.simulate import terrain as land
+from numpy.typing import NDArray
+from persem_ros.simulate import shapes, terrain as land
 from persem_ros.simulate.materials import INDEX
 
+if TYPE_CHECKING:
+    from persem_ros.simulate.shapes import Solid
+    from persem_ros.simulate.terrain import Terrain
 
-def plant(solid, rng, terrain, taken):
+
+def plant(
+        solid: Solid, rng: np.random.Generator, terrain: Terrain, taken: NDArray[np.float64]
+) -> None:
     """Plant the forest, trees along river and in gardens, bushes."""
     x, y = (np.arange(-half + 3, half - 3, 5.2) for half in (land.HALF_X, land.HALF_Y))
     spot = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
@@ -28,7 +38,8 @@ def plant(solid, rng, terrain, taken):
     _grow(solid, rng, terrain, spot[keep], ground[keep], small)
 
 
-def _grow(solid, rng, terrain, spot, ground, small):
+def _grow(solid: Solid, rng: np.random.Generator, terrain: Terrain, spot: NDArray[np.float64],
+          ground: NDArray[np.uint8], small: NDArray[np.bool_]) -> None:
     """Add a plant at each of *spot*, shape (n, 2): conifers and broadleaves, *small*: bushes."""
     n = len(spot)
     wood = ground == INDEX['forest floor']

@@ -1,8 +1,12 @@
 """The noun path: where the aircraft's body is at any time; a lawn-mower pattern with turns."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 TICK = 0.05         # seconds between the knots of the path
 
@@ -23,11 +27,11 @@ class Path:
     knots: np.ndarray
 
     @property
-    def duration(self):
+    def duration(self) -> Any:
         """Return the last time, in seconds, at which the path is known."""
         return (len(self.knots) - 4) * TICK
 
-    def body(self, time):
+    def body(self, time: float) -> NDArray[np.float64]:
         """Return T_map_body, 4x4, at *time* in seconds; x forward, y left, z up."""
         x, y, z, roll, pitch, yaw = self._at(time)
         T = np.eye(4)
@@ -35,7 +39,7 @@ class Path:
         T[:3, 3] = x, y, z
         return T
 
-    def _at(self, time):
+    def _at(self, time: float) -> NDArray[np.float64]:
         """Interpolate the knots by a cubic B-spline: no jump in velocity or acceleration."""
         k = min(max(int(time / TICK), 0), len(self.knots) - 4)
         u = time / TICK - k
@@ -44,7 +48,7 @@ class Path:
         return weights @ self.knots[k:k + 4]
 
 
-def rotation(roll, pitch, yaw):
+def rotation(roll: float, pitch: float, yaw: float) -> NDArray[np.float64]:
     """Return the 3x3 rotation Rz(yaw) Ry(pitch) Rx(roll), radians."""
     cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
     cy, sy = np.cos(yaw), np.sin(yaw)
@@ -53,8 +57,9 @@ def rotation(roll, pitch, yaw):
                      [-sp, cp * sr, cp * cr]])
 
 
-def make_path(rng, duration, height, speed, leg=92.0, spacing=30.0, lines=3,
-              middle=-32.0):
+def make_path(
+        rng: np.random.Generator, duration: float, height: float, speed: float, leg: float = 92.0,
+        spacing: float = 30.0, lines: int = 3, middle: float = -32.0) -> Path:
     """
     Return the Path of a survey.
 
@@ -96,7 +101,9 @@ def make_path(rng, duration, height, speed, leg=92.0, spacing=30.0, lines=3,
     return Path(np.column_stack([x, y, z, roll, pitch, yaw]))
 
 
-def _pattern(way, leg, spacing, lines):
+def _pattern(
+        way: NDArray[np.float64], leg: float, spacing: float, lines: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return (x, y, heading) at the distances *way* along the pattern, sharp where legs end."""
     bend = np.pi * spacing / 2
     number = np.floor(way / (leg + bend)).astype(int)
@@ -111,7 +118,7 @@ def _pattern(way, leg, spacing, lines):
     return x, y, turned + side * step * angle
 
 
-def _lines(number, lines):
+def _lines(number: NDArray[np.int64], lines: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Return the line, 0 .. lines - 1, of leg *number*, and the heading turned until there."""
     period = 2 * (lines - 1)
     phase = number % period
@@ -125,7 +132,8 @@ def _lines(number, lines):
     return line, turned[number - first]
 
 
-def gusts(rng, time, strength, periods):
+def gusts(rng: np.random.Generator, time: NDArray[np.float64], strength: float,
+          periods: tuple[float, ...]) -> NDArray[np.float64]:
     """Return a smooth wobble of standard deviation *strength* at *time*, periods in seconds."""
     phase = rng.uniform(0, 2 * np.pi, len(periods))
     waves = [np.sin(2 * np.pi * time / period + p) for period, p in zip(periods, phase)]

@@ -1,5 +1,7 @@
 """The noun plan: what a flight is like."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 
 from persem_ros.errors import PersemError
@@ -54,18 +56,18 @@ class Plan:
     pose_errors: PoseErrors = PoseErrors()
 
     @property
-    def flown_altitude(self):
+    def flown_altitude(self) -> float:
         """Return the altitude with the voxel scale in it, metres."""
         return self.altitude * max(self.voxel_scale, 0.0) ** 0.5
 
-    def without_errors(self):
+    def without_errors(self) -> Plan:
         """Return the same flight with exact labels, depth and poses."""
         return replace(self, mistakes=replace(self.mistakes, difficulty=0.0),
                        depth_errors=replace(self.depth_errors, scale=0.0),
                        pose_errors=PoseErrors())
 
 
-def check(plan):
+def check(plan: Plan) -> None:
     """Refuse what cannot be flown."""
     for name, value, low, high, unit in (
             ('seed', plan.seed, 0, 2 ** 32, ''),

@@ -1,14 +1,21 @@
 """What the camera sees: depth, class and colour of every pixel, by ray casting."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from typing import Any, TYPE_CHECKING
 
 import cv2
 import numpy as np
-
+from numpy.typing import NDArray
 from persem_ros.core.jit import cached
-from persem_ros.simulate import materials as mat
-from persem_ros.simulate import terrain as land
+from persem_ros.simulate import materials as mat, terrain as land
 from persem_ros.simulate.shading import shade, shadow_map, sky, SUN, to_bytes
+
+if TYPE_CHECKING:
+    from persem_ros.frames import Camera
+    from persem_ros.simulate.terrain import Terrain
+    from persem_ros.simulate.world import Scene, World
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +56,7 @@ class Renderer:
 
     """
 
-    def __init__(self, world, camera):
+    def __init__(self, world: World, camera: Camera) -> None:
         self.world, self.camera = world, camera
         rays = np.ones((camera.height, camera.width, 3))
         rays[..., :2] = camera.rays
@@ -57,7 +64,7 @@ class Renderer:
         self._shadow = shadow_map(world.scene)
         self._slope = _slopes(world.terrain)
 
-    def render(self, T_map_camera, time):
+    def render(self, T_map_camera: NDArray[np.float64], time: float) -> View:
         """Return the View from a pose (4x4, optical frame to map) at *time* in seconds."""
         origin = np.ascontiguousarray(T_map_camera[:3, 3])
         n = len(self._rays)
@@ -79,7 +86,9 @@ class Renderer:
         return View(depth.reshape(shape), labels.reshape(shape), points.reshape(*shape, 3),
                     facing.reshape(shape), shown)
 
-    def _draw(self, scene, hit, pixels, origin, rays, out):
+    def _draw(
+            self, scene: Scene, hit: NDArray[np.int32], pixels: NDArray[np.int64],
+            origin: NDArray[np.float64], rays: NDArray[np.float64], out: tuple[Any, ...]) -> None:
         """Draw the triangles *hit* (-1: none) by the rays *pixels* where they are the nearest."""
         depth, labels, points, facing, color = out
         normals = np.empty((len(hit), 3), np.float32)
@@ -91,7 +100,9 @@ class Renderer:
         shade(hit, pixels, origin, points, normals, material, scene.tint, scene.base, mat.ALBEDO,
               mat.STRENGTH, mat.SIZE, mat.PATTERN, SUN.astype(np.float32), self._shadow, color)
 
-    def _draw_traffic(self, T_map_camera, time, origin, rays, out):
+    def _draw_traffic(
+            self, T_map_camera: NDArray[np.float64], time: float, origin: NDArray[np.float64],
+            rays: NDArray[np.float64], out: tuple[Any, ...]) -> None:
         """Draw the moving vehicles and their shadows, only where the camera sees them."""
         scene = self.world.traffic(time)
         pixels = self._near(T_map_camera, scene.origins)
@@ -105,7 +116,9 @@ class Renderer:
         dark = scene.caster.intersects_any(start, np.broadcast_to(SUN, start.shape))
         color[below[dark]] *= 0.35
 
-    def _near(self, T_map_camera, points):
+    def _near(
+            self, T_map_camera: NDArray[np.float64], points: NDArray[np.float64]
+    ) -> NDArray[np.int64]:
         """Return the pixels in the rectangles, grown by shadows, around *points*, (n, 3)."""
         local = (points - T_map_camera[:3, 3]) @ T_map_camera[:3, :3]
         local = local[local[:, 2] > 1.0]
@@ -120,7 +133,7 @@ class Renderer:
         return np.flatnonzero(mask)
 
 
-def _slopes(terrain):
+def _slopes(terrain: Terrain) -> NDArray[np.float32]:
     """Return the terrain's gradient every STEP metres, shape (nx, ny, 2), float32."""
     x, y = (np.arange(-half, half + .1, land.STEP) for half in (land.HALF_X, land.HALF_Y))
     grid = np.meshgrid(x, y, indexing='ij')

@@ -1,14 +1,20 @@
 """A segmenter's mistakes: anchored in the world, coming with the view, at borders, salt."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from statistics import NormalDist
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-
+from numpy.typing import NDArray
 from persem_ros.core.jit import cached
 from persem_ros.simulate import materials as mat
 from persem_ros.simulate.fields import make_field
+
+if TYPE_CHECKING:
+    from persem_ros.simulate.render import View
 
 # What a class is taken for: (class, its share of mistakes at difficulty 1, first wrong class,
 # second wrong class). The share is that of a surface at DISTANCE seen at a right angle.
@@ -89,7 +95,7 @@ class Segmenter:
 
     """
 
-    def __init__(self, rng, mistakes):
+    def __init__(self, rng: np.random.Generator, mistakes: Mistakes) -> None:
         m = self.mistakes = mistakes
         turn = 2 * np.sin(np.radians(m.view_angle) / 2)     # of unit vectors: a chord
         self.world = make_field(rng, [m.world_length] * 3, 40)
@@ -103,7 +109,9 @@ class Segmenter:
                 self._threshold[label] = NormalDist().inv_cdf(1 - share)
                 self._wrong[label] = wrong
 
-    def labels(self, view, origin, rng):
+    def labels(
+            self, view: View, origin: NDArray[np.float64], rng: np.random.Generator
+    ) -> NDArray[np.uint8]:
         """
         Return the labels of a frame, shape (H, W), uint8.
 
@@ -139,7 +147,8 @@ class Segmenter:
         return labels
 
 
-def picture_noise(rng, height, width, length):
+def picture_noise(
+        rng: np.random.Generator, height: int, width: int, length: float) -> NDArray[np.float32]:
     """
     Return smooth noise over a picture, shape (height, width), float32: mean 0, variance 1.
 
@@ -161,7 +170,8 @@ def picture_noise(rng, height, width, length):
     return np.ascontiguousarray(large[:height, :width])
 
 
-def shifted_borders(rng, labels, strength, length):
+def shifted_borders(rng: np.random.Generator, labels: NDArray[np.uint8], strength: float,
+                    length: float) -> NDArray[np.uint8]:
     """Return *labels* with borders shifted; both numbers are shares of the width."""
     height, width = labels.shape
     shift = [picture_noise(rng, height, width, length) * np.float32(strength * width)
@@ -171,7 +181,7 @@ def shifted_borders(rng, labels, strength, length):
                      borderMode=cv2.BORDER_REPLICATE)
 
 
-def _sprinkle(rng, labels, share):
+def _sprinkle(rng: np.random.Generator, labels: NDArray[np.uint8], share: float) -> None:
     """Give single pixels, and the one to their right, a random class."""
     count = rng.poisson(share * labels.size / 2)
     at = rng.integers(0, labels.size - 1, count)

@@ -1,13 +1,19 @@
 """A depth camera's and a pose estimate's errors."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-
+from numpy.typing import NDArray
 from persem_ros.simulate import materials as mat
 from persem_ros.simulate.path import rotation
 from persem_ros.simulate.segmenter import picture_noise
+
+if TYPE_CHECKING:
+    from persem_ros.simulate.render import View
 
 
 @dataclass(frozen=True)
@@ -42,7 +48,7 @@ class DepthErrors:
     max_range: float = 180.0
 
 
-def measured(view, errors, rng):
+def measured(view: View, errors: DepthErrors, rng: np.random.Generator) -> NDArray[np.float32]:
     """Return the depth image, shape (H, W), float32, metres, NaN without measurement."""
     depth = view.depth.astype(np.float32)
     height, width = depth.shape
@@ -62,7 +68,7 @@ def measured(view, errors, rng):
     return depth
 
 
-def edges(depth):
+def edges(depth: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Return where depth jumps between neighbouring pixels, widened by one, bool (H, W)."""
     kernel = np.ones((3, 3), np.uint8)
     return cv2.dilate(depth, kernel) - cv2.erode(depth, kernel) > 0.03 * depth
@@ -90,7 +96,9 @@ class PoseErrors:
     drift: float = 0.0
 
 
-def recorded(poses, errors, rng):
+def recorded(
+        poses: list[NDArray[np.float64]], errors: PoseErrors, rng: np.random.Generator
+) -> list[NDArray[np.float64]]:
     """Return the list of T_map_body *poses*, in order of time, with *errors* added."""
     n = len(poses)
     T = np.stack(poses)

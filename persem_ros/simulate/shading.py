@@ -1,15 +1,23 @@
 """Light and colour: sun, shadow, sky, texture, haze."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.core.jit import cached
 from persem_ros.simulate import materials as mat
+
+if TYPE_CHECKING:
+    from persem_ros.simulate.world import Scene
 
 SUN = np.array([-0.46, -0.52, 0.72]) / np.linalg.norm([-0.46, -0.52, 0.72])
 SHADOW_CELL = 0.35      # metres, of the shadow map
 SHADOW_HALF = 180.0     # metres, half of the shadow map's edge
 
 
-def shadow_map(scene):
+def shadow_map(scene: Scene) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return (axes (2, 3), map): how far towards the sun the first thing lies, metres."""
     axes = np.array([np.cross(SUN, (0, 0, 1)), np.cross(SUN, np.cross(SUN, (0, 0, 1)))])
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)

@@ -1,8 +1,12 @@
 """Shapes of things as triangles: houses, trees, hedges, fences, vehicles."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.simulate.materials import INDEX
 import trimesh
 
@@ -34,7 +38,10 @@ class Solid:
     base: list = field(default_factory=list)
     count: int = 0
 
-    def add(self, vertices, faces, material, tint=WHITE, base=0.0):
+    def add(
+            self, vertices: NDArray[np.float64], faces: NDArray[np.int64], material: int | str,
+            tint: NDArray[np.float64] | tuple[float, float, float] = WHITE, base: float = 0.0
+    ) -> None:
         """Add triangles; material, tint and base are one for all or one a face."""
         n = len(faces)
         self.vertices.append(np.asarray(vertices, float))
@@ -46,7 +53,7 @@ class Solid:
         self.base.append(np.broadcast_to(np.float32(base), n))
         self.count += len(vertices)
 
-    def arrays(self):
+    def arrays(self) -> tuple[Any, ...]:
         """Return (vertices, faces, material, tint, base), each as one array."""
         return (np.concatenate(self.vertices), np.concatenate(self.faces).astype(np.int64),
                 np.concatenate(self.material), np.concatenate(self.tint),
@@ -60,20 +67,26 @@ _SIDES = np.array([[0, 1, 5], [0, 5, 4], [1, 2, 6], [1, 6, 5], [2, 3, 7], [2, 7,
 _TOP = np.array([[4, 5, 6], [4, 6, 7]])
 
 
-def placed(vertices, x, y, z, yaw):
+def placed(
+        vertices: NDArray[np.float64], x: float, y: float, z: float, yaw: float
+) -> NDArray[np.float64]:
     """Return *vertices*, shape (n, 3), turned by *yaw* (rad) and moved to x, y, z."""
     c, s = np.cos(yaw), np.sin(yaw)
     return vertices @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + (x, y, z)
 
 
-def box(solid, at, yaw, size, material, tint=WHITE, top=None):
+def box(solid: Solid, at: NDArray[np.float64], yaw: float, size: tuple[float, float, float],
+        material: str, tint: NDArray[np.float64] | tuple[float, float, float] = WHITE,
+        top: str | None = None) -> None:
     """Add an upright box without bottom; *at* is the middle of its foot, *size* its extent."""
     vertices = placed(_BOX * size, *at, yaw)
     solid.add(vertices, _SIDES, material, tint, at[2])
     solid.add(vertices, _TOP, top or material, tint, at[2])
 
 
-def house(solid, at, yaw, size, roof, tint, roof_tint):
+def house(solid: Solid, at: NDArray[np.float64], yaw: float,
+          size: NDArray[np.float64] | tuple[float, float, float], roof: str,
+          tint: NDArray[np.float64], roof_tint: NDArray[np.float64]) -> None:
     """
     Add a house; *size* is length, width, height of the eaves; *roof* gable, hip or flat.
 
@@ -115,7 +128,9 @@ def house(solid, at, yaw, size, roof, tint, roof_tint):
     box(solid, chimney, yaw, (.8, .6, rise * .55 + .7), 'wall', (.55, .38, .32), 'flat roof')
 
 
-def crowns(solid, rng, at, radius, height, kind, tint):
+def crowns(solid: Solid, rng: np.random.Generator, at: NDArray[np.float64],
+           radius: NDArray[np.float64], height: NDArray[np.float64], kind: str,
+           tint: NDArray[np.float64]) -> None:
     """
     Add many trees or bushes at once.
 
@@ -159,7 +174,7 @@ def crowns(solid, rng, at, radius, height, kind, tint):
         solid.add(points.reshape(-1, 3), every.reshape(-1, 3), 'trunk')
 
 
-def _lump(rng):
+def _lump(rng: np.random.Generator) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return (vertices, faces) of a crown: unit radius, z from 0 to 1, knobbly."""
     ball = trimesh.creation.icosphere(subdivisions=2)
     vertices = np.array(ball.vertices)
@@ -171,7 +186,7 @@ def _lump(rng):
     return vertices, np.array(ball.faces)
 
 
-def _cone(sides=9):
+def _cone(sides: int = 9) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return (vertices, faces) of a conifer: unit radius, z from 0 to 1, in tiers."""
     profile = np.array([[1, 0], [.42, .30], [.74, .28], [.28, .58], [.50, .56], [.16, .80],
                         [.27, .79], [0, 1]])
@@ -186,7 +201,8 @@ def _cone(sides=9):
     return vertices, np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)])
 
 
-def strip(solid, points, height, width, material, tint=WHITE):
+def strip(solid: Solid, points: NDArray[np.float64], height: float, width: float, material: str,
+          tint: NDArray[np.float64] = WHITE) -> None:
     """Add a wall, fence or hedge along the polyline *points*, shape (n, 3), metres."""
     for a, b in zip(points[:-1], points[1:]):
         along = b - a
@@ -194,7 +210,8 @@ def strip(solid, points, height, width, material, tint=WHITE):
         box(solid, (a + b) / 2 - (0, 0, .3), np.arctan2(along[1], along[0]), size, material, tint)
 
 
-def vehicle(solid, at, yaw, tint, truck=False):
+def vehicle(solid: Solid, at: NDArray[np.float64], yaw: float, tint: NDArray[np.float64],
+            truck: bool = False) -> None:
     """Add a car or a truck; *at* is the middle of its foot, x of the vehicle is forward."""
     length, width = (7.2, 2.4) if truck else (4.3, 1.8)
     body = np.array([length, width, .75])

@@ -1,11 +1,17 @@
 """The noun terrain: heights and the ground map of materials; river, roads, fields, tracks."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
-
+from numpy.typing import NDArray
 from persem_ros.simulate.fields import make_field
 from persem_ros.simulate.materials import INDEX
+
+if TYPE_CHECKING:
+    from persem_ros.simulate.fields import Field
 
 HALF_X, HALF_Y = 260.0, 220.0   # metres, the drawn part of the world
 CELL = 0.2                      # metres, of the ground map
@@ -38,23 +44,23 @@ class Terrain:
     edges: object
     ground: np.ndarray
 
-    def height(self, x, y):
+    def height(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return z of the ground at x, y (arrays of one shape), metres, float64."""
         return _height(self.hills, x, y)
 
-    def on(self, points):
+    def on(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return *points*, shape (n, 2) or (2,), with the ground's z as (n, 3)."""
         points = np.asarray(points, float).reshape(-1, 2)
         return np.column_stack([points, self.height(points[:, 0], points[:, 1])])
 
-    def material(self, x, y):
+    def material(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.uint8]:
         """Return the material of the ground at x, y (arrays of one shape), uint8."""
         column = np.clip(((np.asarray(x) + HALF_X) / CELL).astype(int), 0,
                          self.ground.shape[1] - 1)
         row = np.clip(((np.asarray(y) + HALF_Y) / CELL).astype(int), 0, self.ground.shape[0] - 1)
         return self.ground[row, column]
 
-    def mesh(self):
+    def mesh(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Return (vertices, faces) of the ground, with a coarse apron to the horizon."""
         apron = np.array([40.0, 120.0, 260.0, 500.0, 900.0])
         x, y = (np.concatenate([-half - apron[::-1], np.arange(-half, half + .1, STEP),
@@ -67,7 +73,7 @@ class Terrain:
         return vertices, faces
 
 
-def make_terrain(rng):
+def make_terrain(rng: np.random.Generator) -> Terrain:
     """Return the Terrain drawn from the generator *rng*."""
     hills, edges = make_field(rng, (75.0, 75.0), 24), make_field(rng, (9.0, 9.0), 24)
     x = np.arange(-HALF_X, HALF_X, CELL, dtype=np.float32)
@@ -83,22 +89,22 @@ def make_terrain(rng):
     return Terrain(hills, edges, ground)
 
 
-def river(y):
+def river(y: NDArray[Any]) -> NDArray[Any]:
     """Return x of the river's middle at y, metres."""
     return -8 + 13 * np.sin(y / 62 + .6) + 5 * np.sin(y / 23)
 
 
-def main_road(x):
+def main_road(x: NDArray[np.float32] | float) -> NDArray[np.float32] | float:
     """Return y of the main road's middle at x, metres."""
     return 5 * np.sin(x / 55) * np.clip((np.abs(x - 5) - 22) / 60, 0, 1)
 
 
-def track(y):
+def track(y: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return x of the forest track's middle at y, metres."""
     return -92 + 14 * np.sin(y / 37 + 1) + 4 * np.sin(y / 13)
 
 
-def _height(hills, x, y):
+def _height(hills: Field, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
     x, y = np.asarray(x, float), np.asarray(y, float)
     points = np.column_stack([x.ravel(), y.ravel()]).astype(np.float32)
     rolling = hills(points).reshape(x.shape).astype(float)
@@ -109,13 +115,13 @@ def _height(hills, x, y):
     return z * bank + WATER_LEVEL * (1 - bank)
 
 
-def smoothstep(t):
+def smoothstep(t: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rise smoothly from 0 at t <= 0 to 1 at t >= 1."""
     t = np.clip(t, 0, 1)
     return t * t * (3 - 2 * t)
 
 
-def _sampled(field, x, y):
+def _sampled(field: Field, x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the field over (x, y) as (len(y), len(x)): every sixteenth cell, then blown up."""
     points = np.stack(np.meshgrid(x[::16], y[::16]), -1)
     coarse = field(points.reshape(-1, 2)).reshape(points.shape[:2])
@@ -127,7 +133,8 @@ def _sampled(field, x, y):
     return lines[i] * (1 - a) + lines[i + 1] * a
 
 
-def _draw_country(ground, x, y, rough):
+def _draw_country(ground: NDArray[np.uint8], x: NDArray[np.float32], y: NDArray[np.float32],
+                  rough: NDArray[np.float32]) -> None:
     """Draw meadows, fields, the forest's floor and its track."""
     west = x < river(y) - 14
     ground[west] = INDEX['meadow']
@@ -141,7 +148,8 @@ def _draw_country(ground, x, y, rough):
     ground[np.abs(x - track(y)) < 1.7 + .25 * rough] = INDEX['gravel']
 
 
-def _draw_streets(ground, x, y):
+def _draw_streets(
+        ground: NDArray[np.uint8], x: NDArray[np.float32], y: NDArray[np.float32]) -> None:
     """Draw the grid of streets, their pavements and markings, and a car park."""
     main = np.abs(y - main_road(x))
     for half, material in ((4.9, 'paving'), (3.0, 'asphalt')):
@@ -159,7 +167,8 @@ def _draw_streets(ground, x, y):
     ground[park & (np.abs((x - 110) % 3 - 1.5) > 1.4) & ((y - 13) % 16 < 10)] = INDEX['marking']
 
 
-def _draw_main_road(ground, x, y):
+def _draw_main_road(
+        ground: NDArray[np.uint8], x: NDArray[np.float32], y: NDArray[np.float32]) -> None:
     """Draw the road that crosses the river on a bridge."""
     away = np.abs(y - main_road(x))
     ground[away < 3.6] = INDEX['asphalt']

@@ -1,15 +1,23 @@
 """The town: houses on lots along the streets, gardens, the bridge."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 import numpy as np
-from persem_ros.simulate import shapes
-from persem_ros.simulate import terrain as land
+from numpy.typing import NDArray
+from persem_ros.simulate import shapes, terrain as land
 from persem_ros.simulate.materials import INDEX
+
+if TYPE_CHECKING:
+    from persem_ros.simulate.shapes import Solid
+    from persem_ros.simulate.terrain import Terrain
 
 ROOFS = np.array([(1, 1, 1), (.82, .80, .78), (.98, 1.3, 1.6), (.62, .85, 1.1), (1.1, 1.05, .95)])
 WALLS = np.array([(1, 1, 1), (1.1, 1.08, 1.02), (.95, .82, .66), (.86, .88, .92), (1.05, .95, .8)])
 
 
-def houses(solid, rng, terrain):
+def houses(solid: Solid, rng: np.random.Generator, terrain: Terrain) -> NDArray[np.float64]:
     """Build both sides of the streets; return what is taken: (n, 3) of x, y, radius."""
     taken = [np.array([[131.0, 29.0, 26.0]])]           # the car park
     blocks_x = (land.TOWN - 4, *land.STREETS_X, land.HALF_X)
@@ -25,7 +33,9 @@ def houses(solid, rng, terrain):
     return np.concatenate(taken)
 
 
-def _block(solid, rng, terrain, taken, left, right, low, high):
+def _block(
+        solid: Solid, rng: np.random.Generator, terrain: Terrain, taken: list[NDArray[np.float64]],
+        left: float, right: float, low: float, high: float) -> None:
     """Build two rows of lots, back to back, between four streets."""
     middle, x = (low + high) / 2, left
     big = rng.random() < .22
@@ -40,7 +50,9 @@ def _block(solid, rng, terrain, taken, left, right, low, high):
         x += width
 
 
-def _lot(solid, rng, terrain, taken, centre, width, depth, side, big):
+def _lot(solid: Solid, rng: np.random.Generator, terrain: Terrain,
+         taken: list[NDArray[np.float64]], centre: NDArray[np.float64], width: float, depth: float,
+         side: int, big: bool) -> None:
     """Build one house with its garden's fence or hedge and a paved way to the street."""
     flat = big or rng.random() < .12
     size = np.array([width - rng.uniform(4.5, 7), depth * rng.uniform(.40, .52),
@@ -72,7 +84,7 @@ def _lot(solid, rng, terrain, taken, centre, width, depth, side, big):
         shapes.strip(solid, line, 1.5, .9, 'shrub', np.full(3, rng.uniform(.8, 1.1)))
 
 
-def bridge(solid):
+def bridge(solid: Solid) -> None:
     """Build a deck with two parapets over the river, along the main road."""
     middle = float(land.river(0.0))
     y = float(land.main_road(middle))

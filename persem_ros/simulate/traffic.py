@@ -1,10 +1,17 @@
 """The vehicles: those that stand and those that move."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from persem_ros.simulate import shapes
-from persem_ros.simulate import terrain as land
+from numpy.typing import NDArray
+from persem_ros.simulate import shapes, terrain as land
+
+if TYPE_CHECKING:
+    from persem_ros.simulate.shapes import Solid
+    from persem_ros.simulate.terrain import Terrain
 
 PAINTS = np.array([(.9, .9, .9), (.12, .12, .13), (.45, .47, .5), (.6, .08, .07), (.1, .18, .45),
                    (.75, .75, .72), (.1, .3, .2), (.9, .75, .2)])
@@ -23,7 +30,7 @@ class Mover:
     tint: tuple
     truck: bool
 
-    def at(self, time):
+    def at(self, time: float) -> tuple[float, float, float]:
         """Return x, y in metres and yaw in radians at *time* in seconds; it keeps right."""
         length = np.hypot(self.x1 - self.x0, self.y1 - self.y0)
         way = (self.start * 2 * length + self.speed * time) % (2 * length)
@@ -57,11 +64,12 @@ class Fleet:
     arrays: tuple
     owner: np.ndarray
 
-    def at(self, time):
+    def at(self, time: float) -> NDArray[np.float64]:
         """Return x, y, yaw of all vehicles at *time* in seconds, each of shape (movers,)."""
         return np.array([mover.at(time) for mover in self.movers]).T
 
-    def vertices(self, x, y, z, yaw):
+    def vertices(self, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64],
+                 yaw: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the vertices with the vehicles at x, y, z, yaw, shape (vertices, 3)."""
         c, s = np.cos(yaw)[self.owner], np.sin(yaw)[self.owner]
         v = self.arrays[0]
@@ -70,7 +78,7 @@ class Fleet:
                          v[:, 2] + z[self.owner]], -1)
 
 
-def make_fleet(movers):
+def make_fleet(movers: tuple[Mover, ...]) -> Fleet:
     """Return the Fleet of *movers*."""
     solid, owner = shapes.Solid(), []
     for i, mover in enumerate(movers):
@@ -80,7 +88,7 @@ def make_fleet(movers):
     return Fleet(tuple(movers), solid.arrays(), np.concatenate(owner))
 
 
-def parked(solid, rng, terrain):
+def parked(solid: Solid, rng: np.random.Generator, terrain: Terrain) -> None:
     """Add cars that stand in the car park and along the streets."""
     spots = [(111.5 + 3 * i, row, np.pi / 2) for i in range(13) for row in (18.0, 34.0)
              if rng.random() < .6]
@@ -93,7 +101,7 @@ def parked(solid, rng, terrain):
         shapes.vehicle(solid, at, yaw + rng.uniform(-.04, .04), PAINTS[rng.integers(len(PAINTS))])
 
 
-def movers(rng):
+def movers(rng: np.random.Generator) -> tuple[Mover, ...]:
     """Return the traffic: along the streets of the town and over the bridge."""
     lanes = [(-250.0, 0.0, 250.0, 0.0)] * 9
     lanes += [(x, -200.0, x, 200.0) for x in land.STREETS_X[:3] for _ in range(5)]

@@ -1,10 +1,12 @@
 """The noun world: the town, the forest and the traffic, as triangles that rays can hit."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np
-from persem_ros.simulate import shapes
-from persem_ros.simulate import terrain as land
+from numpy.typing import NDArray
+from persem_ros.simulate import shapes, terrain as land
 from persem_ros.simulate.materials import GROUND
 from persem_ros.simulate.nature import plant
 from persem_ros.simulate.town import bridge, houses
@@ -38,12 +40,16 @@ class Scene:
     base: np.ndarray
     caster: object
 
-    def first(self, origin, directions):
+    def first(
+            self, origin: NDArray[np.float64], directions: NDArray[np.float64]
+    ) -> NDArray[np.int32]:
         """Return the triangle, -1 for none, that each ray from *origin* hits, shape (n,)."""
         return self.caster.intersects_first(np.broadcast_to(origin, directions.shape), directions)
 
 
-def make_scene(vertices, faces, material, tint, base):
+def make_scene(
+        vertices: NDArray[np.float64], faces: NDArray[np.int64], material: NDArray[np.uint8],
+        tint: NDArray[np.float32], base: NDArray[np.float32]) -> Scene:
     """Return the Scene of what shapes.Solid.arrays() returns."""
     mesh = trimesh.Trimesh(vertices, faces, process=False, validate=False)
     corners = vertices[faces]
@@ -61,20 +67,20 @@ class World:
     scene: Scene
     fleet: object
 
-    def traffic(self, time):
+    def traffic(self, time: float) -> Scene:
         """Return the Scene of the moving vehicles at *time* in seconds."""
         x, y, yaw = self.fleet.at(time)
         z = self.deck(x, y)
         return make_scene(self.fleet.vertices(x, y, z, yaw), *self.fleet.arrays[1:])
 
-    def deck(self, x, y):
+    def deck(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return z of the road at x, y (arrays): the ground's, or the bridge's."""
         z = self.terrain.height(x, y)
         bridge = (np.abs(x - land.river(y)) < 17) & (np.abs(y) < 12)
         return np.where(bridge, np.maximum(z, land.BRIDGE_TOP), z)
 
 
-def make_world(seed):
+def make_world(seed: int) -> World:
     """Return the World of a seed: the same seed, the same world."""
     rng = np.random.default_rng([seed, 1])
     terrain = land.make_terrain(rng)

@@ -1,12 +1,22 @@
 """Label images that are coded by colour."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.errors import PersemError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from persem_ros.settings.legend import Legend
 
 UNLABELLED = 255
 
 
-def ids_of_colors(rgb, legend, where):
+def ids_of_colors(rgb: NDArray[np.uint8], legend: Legend, where: Path) -> NDArray[np.uint8]:
     """
     Return the ids of a label image in the legend's colours.
 

@@ -6,10 +6,14 @@ and little else: everything that is not documented is an option here, with a def
 
 """
 
+from __future__ import annotations
+
 import logging
 from pathlib import Path
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.convert import axes
 from persem_ros.convert.checks import check_conventions, sampled
 from persem_ros.convert.files import files_of, some
@@ -26,11 +30,16 @@ from persem_ros.errors import PersemError
 from persem_ros.frames import same_aspect
 from persem_ros.outputs.recording.writer import RecordingWriter
 
+if TYPE_CHECKING:
+    from persem_ros.convert.scene import SceneWriter
+    from persem_ros.settings.legend import Legend
+
 LOG = logging.getLogger(__name__)
 CODED_METRES = 1000.0       # of the largest 24-bit number, as CARLA packs depth
 
 
-def convert_forest(root, name, path, options=None, legend=None, **writing):
+def convert_forest(root: str, name: str, path: str, options: ForestOptions | None = None,
+                   legend: Legend | None = None, **writing: Any) -> str | None:
     """
     Convert one sequence.
 
@@ -65,7 +74,7 @@ def convert_forest(root, name, path, options=None, legend=None, **writing):
 class Sequence:
     """The files of one sequence that belong together."""
 
-    def __init__(self, folder, options, legend):
+    def __init__(self, folder: Path, options: ForestOptions, legend: Legend) -> None:
         self.options, self.legend = options, legend
         found = {'labels': find(folder, 'labels', options.labels, bool(options.predictions)),
                  'depth': find(folder, 'depth', options.depth),
@@ -94,17 +103,17 @@ class Sequence:
         report_dropped(dropped)
         self.keys = chosen(sorted(left, key=self.stamps.get), options.frames, options.every)
 
-    def pose(self, key):
+    def pose(self, key: str) -> NDArray[np.float64]:
         """Return T_map_camera of a frame."""
         return axes.optical_pose(forest_poses.pose_of_image(self.poses, key), *self.conventions)
 
     @property
-    def conventions(self):
+    def conventions(self) -> tuple[str, str, str]:
         """Return direction, axes and world of the poses."""
         return (self.options.direction, self.options.axes or ('ned' if self.airsim else 'opencv'),
                 self.options.world or ('ned' if self.airsim else 'enu'))
 
-    def write(self, scene, key):
+    def write(self, scene: SceneWriter, key: str) -> None:
         """Write the images of one frame."""
         depth = self.read_depth(key)
         size = _scaled((depth.shape[1], depth.shape[0]), self.options.scale)
@@ -119,7 +128,7 @@ class Sequence:
         if key in self.color:
             scene.color(stamp, *read_color(self.color[key], size))
 
-    def K(self, key, size):
+    def K(self, key: str, size: tuple[int, int]) -> NDArray[np.float64]:
         """Return the pinhole matrix of a frame for images of *size* (width, height)."""
         if self.options.intrinsics:
             text = self.options.intrinsics
@@ -130,7 +139,7 @@ class Sequence:
             return scaled_K(self.matrices[key], self._full(key), size)
         return forest_poses.fov_matrix(*size, self.options.fov)
 
-    def ids(self, path, size):
+    def ids(self, path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
         """Return a label file as ids: those that it has, or those of its colours."""
         array = read_array(path)
         if not same_aspect((array.shape[1], array.shape[0]), size):
@@ -143,7 +152,7 @@ class Sequence:
             return ids.astype(np.uint8 if ids.max() < 256 else np.uint16)
         return ids_of_colors(array[..., 2::-1], self.legend, path)
 
-    def read_depth(self, key):
+    def read_depth(self, key: str) -> NDArray[np.float32]:
         """Return the depth of a frame, (h, w) float32, metres along the axis; 0: none."""
         path = self.depth[key]
         if self.options.depth_coding == 'rgb24':
@@ -162,7 +171,7 @@ class Sequence:
             depth = depth / np.sqrt(1 + x[None, :] ** 2 + y[:, None] ** 2)
         return depth.astype(np.float32)
 
-    def check(self):
+    def check(self) -> None:
         """Reproject some depth images to see whether unit, axes and world fit."""
         depths, places = sampled(
             len(self.keys), lambda i: self.read_depth(self.keys[i]),
@@ -175,11 +184,11 @@ class Sequence:
         check_conventions(depths, places, self.K(self.keys[0], shape[::-1]), self.conventions,
                           per_metre)
 
-    def _full(self, key):
+    def _full(self, key: str) -> tuple[int, int]:
         """Return the (width, height) of the images that the intrinsics belong to."""
         array = read_array(self.color.get(key) or self.depth[key])
         return array.shape[1], array.shape[0]
 
 
-def _scaled(size, scale):
+def _scaled(size: tuple[int, int], scale: float) -> tuple[int, int]:
     return max(1, round(size[0] * scale)), max(1, round(size[1] * scale))

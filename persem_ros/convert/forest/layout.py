@@ -1,13 +1,21 @@
 """Which files of a sequence of Forest Inspection belong together, and what they mean."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
 from persem_ros.convert.files import canonical, files_of, some
 from persem_ros.convert.forest import poses as forest_poses
 from persem_ros.convert.poses import poses_from_files, poses_from_trajectory
 from persem_ros.convert.stamps import number_of_name
 from persem_ros.errors import PersemError
+
+if TYPE_CHECKING:
+    from persem_ros.convert.poses import Poses
 
 # What is looked for when no pattern is given: synthetic part first, then WildUAV.
 LAYOUTS = {'labels': ('labels/*.png', 'semantic/*.png', 'label/*.png'),
@@ -76,7 +84,7 @@ class ForestOptions:
     every: int = 1
 
 
-def folder_of(root, name):
+def folder_of(root: str, name: str) -> Path | None:
     """Return a sequence's folder, which the archives may hold twice (seq1/seq1)."""
     for folder in (Path(root) / name / name, Path(root) / name):
         if folder.is_dir():
@@ -87,7 +95,7 @@ def folder_of(root, name):
                       + (f'; there are {some(there, 12)}' if there else ''))
 
 
-def find(folder, what, given, optional=False):
+def find(folder: Path, what: str, given: str, optional: bool = False) -> dict[str, Path] | None:
     """Return {key: path} of the pattern *given*, or of the first usual one that has files."""
     for pattern in [given] if given else LAYOUTS[what]:
         found = files_of(folder, pattern)
@@ -100,7 +108,9 @@ def find(folder, what, given, optional=False):
                       f"name them with --{what} 'PATTERN'")
 
 
-def find_poses(folder, given, keys, pitch):
+def find_poses(
+        folder: Path, given: str, keys: list[str], pitch: float
+) -> tuple[Poses, dict[str, NDArray[np.float64]], bool] | None:
     """Return (Poses, {key: K}, whether they are AirSim's)."""
     for pattern in [given] if given else LAYOUTS['pose']:
         path = folder / pattern
@@ -117,7 +127,7 @@ def find_poses(folder, given, keys, pitch):
                       'them with --pose FILE or PATTERN')
 
 
-def partners(keys, files):
+def partners(keys: dict[str, Path], files: dict[str, Path]) -> dict[str, Path]:
     """Return {key: path} of files with the same name, or else with the same number in it."""
     names = {canonical(other): path for other, path in files.items()}
     result = {key: names[canonical(key)] for key in keys if canonical(key) in names}

@@ -1,22 +1,30 @@
 """Poses and intrinsics of Forest Inspection: AirSim's records and WildUAV's metadata."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator
 import json
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.convert.files import canonical, numbers_of, read_text
 from persem_ros.convert.poses import Poses, rigid
 from persem_ros.core.transforms import transform
 from persem_ros.errors import PersemError
 
+if TYPE_CHECKING:
+    from pathlib import Path
+
 AIRSIM = ('POS_X', 'POS_Y', 'POS_Z', 'Q_W', 'Q_X', 'Q_Y', 'Q_Z', 'ImageFile')
 
 
-def is_airsim(path):
+def is_airsim(path: Path) -> bool:
     """Return whether a text file is a recording of AirSim (airsim_rec.txt)."""
     return read_text(path).split('\n', 1)[0].split()[-1:] == ['ImageFile']
 
 
-def airsim_poses(path, pitch=0.0):
+def airsim_poses(path: Path, pitch: float = 0.0) -> Poses | None:
     """
     Return the Poses of AirSim's airsim_rec.txt by the name of the image, without its ending.
 
@@ -54,7 +62,7 @@ def airsim_poses(path, pitch=0.0):
     return poses
 
 
-def metadata_poses(files):
+def metadata_poses(files: dict[str, Path]) -> tuple[Poses, dict[str, NDArray[np.float64]]] | None:
     """
     Return (Poses, {key: K}) of WildUAV's metadata, {key: path} of one JSON file per image.
 
@@ -89,7 +97,7 @@ def metadata_poses(files):
     return poses, intrinsics
 
 
-def _arrays(content):
+def _arrays(content: dict[str, Any] | list[float | list[float]]) -> Iterator[NDArray[np.float64]]:
     """Yield every list of numbers in parsed JSON, nested ones flat, in the file's order."""
     values = content.values() if isinstance(content, dict) else \
         content if isinstance(content, list) else ()
@@ -103,7 +111,7 @@ def _arrays(content):
         yield from _arrays(value)
 
 
-def pose_of_image(poses, key):
+def pose_of_image(poses: Poses, key: str) -> NDArray[np.float64]:
     """Return the pose of an image, by its name or by its number; None where there is none."""
     if key in poses.by_key:
         return poses.by_key[key]
@@ -111,7 +119,7 @@ def pose_of_image(poses, key):
     return poses.by_key.get(names.get(canonical(key)))
 
 
-def fov_matrix(width, height, fov):
+def fov_matrix(width: int, height: int, fov: float) -> NDArray[np.float64]:
     """Return the pinhole matrix of a horizontal field of view in degrees, centred."""
     f = width / 2 / np.tan(np.radians(fov) / 2)
     return np.array([[f, 0, (width - 1) / 2], [0, f, (height - 1) / 2], [0, 0, 1.0]])

@@ -1,23 +1,35 @@
 """Folders of label, depth and pose files (7-Scenes, ScanNet, TUM, …) become a recording."""
 
-from pathlib import Path
+from __future__ import annotations
 
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
 from persem_ros.convert import axes
 from persem_ros.convert.checks import check_conventions, sampled
 from persem_ros.convert.frames.layout import (
-    find_frames, FramesOptions, intrinsics_source, layout_unit,
-)
+    find_frames, FramesOptions, intrinsics_source, layout_unit)
 from persem_ros.convert.images import (
-    metres, parse_unit, read_color, read_depth, read_labels, scaled_K, units_per_metre,
-)
+    metres, parse_unit, read_color, read_depth, read_labels, scaled_K, units_per_metre)
 from persem_ros.convert.intrinsics import read_intrinsics
 from persem_ros.convert.scene import write_scene
 from persem_ros.errors import PersemError
 from persem_ros.frames import same_aspect
 from persem_ros.outputs.recording.writer import RecordingWriter
 
+if TYPE_CHECKING:
+    from persem_ros.convert.frames.layout import Item
+    from persem_ros.convert.intrinsics import Intrinsics
+    from persem_ros.convert.poses import Poses
+    from persem_ros.convert.scene import SceneWriter
+    from persem_ros.settings.legend import Legend
 
-def convert_frames(folder, path, options=None, legend=None, **writing):
+
+def convert_frames(folder: Path, path: Path, options: FramesOptions | None = None,
+                   legend: Legend | None = None, **writing: Any) -> str | None:
     """
     Convert a folder of images and poses.
 
@@ -61,7 +73,9 @@ def convert_frames(folder, path, options=None, legend=None, **writing):
         lambda scene, item: _write_frame(scene, item, K, camera, unit, options))
 
 
-def _trajectory(items, poses, options):
+def _trajectory(
+        items: list[Item], poses: Poses, options: FramesOptions
+) -> Iterator[tuple[int, NDArray[np.float64]]]:
     """Yield (stamp, T_map_camera) of all poses that the frames need, in order of stamps."""
     if not poses.stamps:
         for item in items:
@@ -72,7 +86,9 @@ def _trajectory(items, poses, options):
             yield stamp, _optical(T, options)
 
 
-def _fitting_K(camera, item, unit, options):
+def _fitting_K(
+        camera: Intrinsics, item: Item, unit: float | None, options: FramesOptions
+) -> NDArray[np.float64] | None:
     """Return K for the depth images' size, or refuse a camera of another shape."""
     height, width = read_depth(item.depth, unit, options.depth_invalid)[0].shape
     K, size = camera.K, camera.size or (width, height)
@@ -86,11 +102,12 @@ def _fitting_K(camera, item, unit, options):
     return K
 
 
-def _optical(T, options):
+def _optical(T: NDArray[np.float64], options: FramesOptions) -> NDArray[np.float64]:
     return axes.optical_pose(T, options.direction, options.axes, options.world)
 
 
-def _check(items, poses, K, unit, options):
+def _check(items: list[Item], poses: Poses, K: NDArray[np.float64], unit: float | None,
+           options: FramesOptions) -> None:
     """Reproject some depth images to see whether unit, axes and world fit."""
     depths, places = sampled(
         len(items), lambda i: metres(*read_depth(items[i].depth, unit, options.depth_invalid)),
@@ -99,7 +116,8 @@ def _check(items, poses, K, unit, options):
                       units_per_metre(items[0].depth, unit))
 
 
-def _write_frame(scene, item, K, camera, unit, options):
+def _write_frame(scene: SceneWriter, item: Item, K: NDArray[np.float64], camera: Intrinsics,
+                 unit: float | None, options: FramesOptions) -> None:
     """Write the images of one frame, or refuse images that do not belong together."""
     depth, depth_encoding = read_depth(item.depth, unit, options.depth_invalid)
     size = depth.shape[1], depth.shape[0]

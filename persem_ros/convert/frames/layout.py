@@ -1,18 +1,24 @@
 """Which files of a folder make a frame: patterns, usual layouts, stamps, partners."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 import logging
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from persem_ros.convert.files import canonical, files_of, some
 from persem_ros.convert.intrinsics import is_numbers
 from persem_ros.convert.poses import poses_from_files, poses_from_trajectory
 from persem_ros.convert.scene import chosen, report_dropped
 from persem_ros.convert.stamps import (
-    number_of_name, stamp_of_name, stamps_from_file, stamps_from_names, stamps_from_rate,
-)
+    number_of_name, stamp_of_name, stamps_from_file, stamps_from_names, stamps_from_rate)
 from persem_ros.convert.uavscenes.layout import is_uavscenes
 from persem_ros.errors import PersemError
+
+if TYPE_CHECKING:
+    from persem_ros.convert.poses import Poses
 
 LOG = logging.getLogger(__name__)
 # What is looked for when no pattern is given, the first that exists.
@@ -105,7 +111,7 @@ class Item:
     extra: dict = field(default_factory=dict)
 
 
-def find_frames(folder, options):
+def find_frames(folder: Path, options: FramesOptions) -> tuple[list[Item], Poses] | None:
     """
     Return the frames that have labels, depth and a pose, and the poses.
 
@@ -157,7 +163,8 @@ def find_frames(folder, options):
     return chosen(items, options.frames, options.every), poses
 
 
-def _complete(times, files, partners, poses):
+def _complete(times: dict[str, int], files: dict[str, dict[str, Path]],
+              partners: dict[str, dict[str, tuple[str, int]]], poses: Poses) -> list[Item]:
     """Return the Items that have depth and a pose; say which frames are left out."""
     dropped = {'without depth': [], 'without a pose': [], 'with a lost pose (NaN, Inf)': []}
     items = []
@@ -177,7 +184,7 @@ def _complete(times, files, partners, poses):
     return items
 
 
-def _find(folder, what, pattern):
+def _find(folder: Path, what: str, pattern: str) -> dict[str, Path]:
     """Return {key: path} of a given pattern, or of the first usual one that has files."""
     for candidate in [pattern] if pattern else LAYOUTS[what]:
         found = files_of(folder, candidate)
@@ -190,7 +197,8 @@ def _find(folder, what, pattern):
     return {}
 
 
-def _find_poses(folder, options, keys, stamped):
+def _find_poses(
+        folder: Path, options: FramesOptions, keys: list[str], stamped: bool) -> Poses | None:
     for candidate in [options.pose] if options.pose else LAYOUTS['pose']:
         path = folder / candidate
         if path.is_file():
@@ -203,7 +211,7 @@ def _find_poses(folder, options, keys, stamped):
                       'name them with --pose FILE or PATTERN')
 
 
-def _stamps(keys, options):
+def _stamps(keys: list[str], options: FramesOptions) -> tuple[dict[str, int], bool]:
     """Return ({key: stamp}, whether the names are the stamps) as the options ask for."""
     named = stamps_from_names(keys) if options.stamps in ('auto', 'names') else None
     if named is not None:
@@ -220,7 +228,9 @@ def _stamps(keys, options):
     return stamps_from_rate(keys, options.rate, options.start), False
 
 
-def _partners(times, named, others, tolerance):
+def _partners(
+        times: dict[str, int], named: bool, others: list[str], tolerance: float
+) -> dict[str, tuple[str, int]]:
     """
     Return {key: (other key, its stamp)} of the files that belong to the frames.
 
@@ -234,7 +244,7 @@ def _partners(times, named, others, tolerance):
     return {key: (other, times[key]) for key, other in _namesakes(list(times), others).items()}
 
 
-def _namesakes(keys, others):
+def _namesakes(keys: list[str], others: list[str]) -> dict[str, str]:
     """Return {key: other} of the same names, or else of the same numbers in them."""
     names = {canonical(other): other for other in others}
     result = {key: names[canonical(key)] for key in keys if canonical(key) in names}
@@ -247,7 +257,9 @@ def _namesakes(keys, others):
     return result if 2 * len(result) >= min(len(keys), len(others)) else {}
 
 
-def _nearest(times, other_times, tolerance):
+def _nearest(
+        times: dict[str, int], other_times: dict[str, int], tolerance: int
+) -> dict[str, tuple[str, int]]:
     """Return {key: (other key, its stamp)}, the closest pairs first, each used once."""
     result, taken = {}, set()
     for _, key, other in sorted(_near(times, other_times, tolerance)):
@@ -257,7 +269,9 @@ def _nearest(times, other_times, tolerance):
     return result
 
 
-def _near(times, other_times, tolerance):
+def _near(
+        times: dict[str, int], other_times: dict[str, int], tolerance: int
+) -> Iterator[tuple[int, str, str]]:
     """Yield (difference, key, other) of all pairs within *tolerance* nanoseconds."""
     keys, others = sorted(times, key=times.get), sorted(other_times, key=other_times.get)
     first = 0
@@ -270,7 +284,7 @@ def _near(times, other_times, tolerance):
             yield abs(other_times[other] - times[key]), key, other
 
 
-def layout_unit(folder, options):
+def layout_unit(folder: Path, options: FramesOptions) -> float | None:
     """Return TUM's depth unit where the folder is laid out like TUM's, else None."""
     if not options.depth_unit and (folder / 'groundtruth.txt').is_file() \
             and (folder / 'depth').is_dir():
@@ -279,7 +293,7 @@ def layout_unit(folder, options):
     return None
 
 
-def intrinsics_source(folder, options):
+def intrinsics_source(folder: Path, options: FramesOptions) -> Path | None:
     """Return what read_intrinsics takes: four numbers, or a file."""
     if is_numbers(options.intrinsics):
         return options.intrinsics

@@ -1,13 +1,19 @@
 """The calibration file of UAVScenes: Python source that is read, never run."""
 
+from __future__ import annotations
+
 import ast
 from dataclasses import dataclass
 import logging
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from persem_ros.convert.files import read_text
 from persem_ros.convert.poses import rigid
 from persem_ros.errors import PersemError
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 LOG = logging.getLogger(__name__)
 SIZE = (2448, 2048)         # images that the intrinsics belong to, (width, height)
@@ -36,14 +42,14 @@ class Calibration:
     D: np.ndarray = ()
 
 
-def nominal():
+def nominal() -> Calibration:
     """Return the mount as drawn: the camera looks where the LiDAR looks, from the same place."""
     T = np.eye(4)
     T[:3, :3] = [[0, -1, 0], [0, 0, -1], [1, 0, 0]]
     return Calibration(T)
 
 
-def read_calibration(path, run):
+def read_calibration(path: Path | str, run: str) -> Calibration | None:
     """
     Return the Calibration of a run from calibration_results.py.
 
@@ -75,7 +81,7 @@ def read_calibration(path, run):
     return _calibration(entry, f'{path}: {name}')
 
 
-def _assignments(path):
+def _assignments(path: Path | str) -> dict[str, dict[str, list[float] | str]] | None:
     """Return {name: literal} of the file's top level; a name as a value is its text."""
     try:
         tree = ast.parse(read_text(path))
@@ -91,7 +97,7 @@ def _assignments(path):
     return values
 
 
-def _literal(node):
+def _literal(node: Any) -> dict[str, list[float] | str] | list[float] | str:
     """Return the value of a literal; names are text, np.array(literal) is its argument."""
     if isinstance(node, ast.Dict):
         return {_literal(key): _literal(value)
@@ -103,7 +109,7 @@ def _literal(node):
     return ast.literal_eval(node)
 
 
-def _calibration(entry, where):
+def _calibration(entry: dict[str, list[float]], where: str) -> Calibration | None:
     """Return the Calibration of one dictionary, or refuse it."""
     numbers = {}
     for name, count in FIELDS.items():

@@ -1,13 +1,17 @@
 """A run of UAVScenes becomes a recording."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator
 from dataclasses import dataclass
 import logging
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.convert.checks import sampled
 from persem_ros.convert.files import some
-from persem_ros.convert.images import (
-    metres, nearest, read_color, read_labels, scaled_K)
+from persem_ros.convert.images import metres, nearest, read_color, read_labels, scaled_K
 from persem_ros.convert.scene import check_scale, chosen, report_dropped, write_scene
 from persem_ros.convert.uavscenes import calibration
 from persem_ros.convert.uavscenes.depth import FolderDepth, LidarDepth
@@ -16,6 +20,14 @@ from persem_ros.convert.units import check_unit
 from persem_ros.errors import PersemError
 from persem_ros.frames import same_aspect
 from persem_ros.outputs.recording.writer import RecordingWriter
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from persem_ros.convert.scene import SceneWriter
+    from persem_ros.convert.uavscenes.calibration import Calibration
+    from persem_ros.convert.uavscenes.layout import Run, Sample
+    from persem_ros.settings.legend import Legend
 
 LOG = logging.getLogger(__name__)
 NAMED = (0, 1, 2, 3, 4, 5, 6, 9, 10, 11, 13, 14, 15, 16, 17, 18, 19, 20, 24)
@@ -70,7 +82,8 @@ class UavscenesOptions:
     every: int = 1
 
 
-def convert_uavscenes(root, name, path, options=None, legend=None, **writing):
+def convert_uavscenes(root: Path, name: str, path: Path, options: UavscenesOptions | None = None,
+                      legend: Legend | None = None, **writing: Any) -> str | None:
     """
     Convert one run.
 
@@ -105,7 +118,7 @@ def convert_uavscenes(root, name, path, options=None, legend=None, **writing):
         lambda scene, key: _write_frame(scene, run, key, labels[key], depth, rig, options))
 
 
-def _trajectory(run, keys):
+def _trajectory(run: Run, keys: list[str]) -> Iterator[tuple[int, NDArray[np.float64]]]:
     """Yield (stamp, T_map_camera) of all images of the full rate that the frames span."""
     begin, end = run.samples[keys[0]].stamp, run.samples[keys[-1]].stamp
     for sample in sorted(run.samples.values(), key=lambda sample: sample.stamp):
@@ -113,13 +126,13 @@ def _trajectory(run, keys):
             yield sample.stamp, sample.T_map_camera
 
 
-def _check_options(options):
+def _check_options(options: UavscenesOptions) -> None:
     check_scale(options.scale)
     if not 0 <= options.lidar <= MAX_SCANS:
         raise PersemError(f'--lidar {options.lidar}: expected 0 to {MAX_SCANS} scans')
 
 
-def _label_files(run, options):
+def _label_files(run: Run, options: UavscenesOptions) -> dict[str, Path] | None:
     """Return {stamp as text: path} of the input labels."""
     if options.predictions:
         labels = images(folder_of('--predictions', options.predictions))
@@ -134,7 +147,7 @@ def _label_files(run, options):
     return run.truth
 
 
-def _calibration(root, run, options):
+def _calibration(root: Path, run: Run, options: UavscenesOptions) -> Calibration | None:
     """Return the Calibration that LiDAR depth or the intrinsics need; nominal without a file."""
     if options.depth and options.camera != 'calibration':
         return calibration.nominal()
@@ -149,7 +162,8 @@ def _calibration(root, run, options):
     return calibration.nominal()
 
 
-def _complete(run, labels, depth):
+def _complete(
+        run: Run, labels: dict[str, Path], depth: FolderDepth | LidarDepth) -> list[str] | None:
     """Return the frames with labels, depth and a pose, in order; say what is left out."""
     dropped = {'without a pose': [], 'with a pose that is not finite': [], 'without depth': []}
     keys = []
@@ -174,14 +188,17 @@ def _complete(run, labels, depth):
     return keys
 
 
-def _camera(sample, rig, options):
+def _camera(
+        sample: Sample, rig: Calibration, options: UavscenesOptions
+) -> tuple[NDArray[np.float64], NDArray[np.float64], tuple[int, int]]:
     """Return (K, D, (width, height)) of a sample, or of the calibration."""
     if options.camera == 'calibration':
         return rig.K, rig.D, calibration.SIZE
     return sample.K, sample.D if np.any(sample.D) else np.zeros(5), sample.size
 
 
-def _check_unit(run, keys, depth, rig, options):
+def _check_unit(run: Run, keys: list[str], depth: FolderDepth, rig: Calibration,
+                options: UavscenesOptions) -> None:
     """Reproject some depth images to see whether their unit fits."""
     depths, poses = sampled(len(keys), lambda i: metres(*depth.stored(keys[i])),
                             lambda i: run.samples[keys[i]].T_map_camera)
@@ -194,7 +211,9 @@ def _check_unit(run, keys, depth, rig, options):
             LOG.info('depth of one frame meets that of another within %.1f %%', 100 * error)
 
 
-def _write_frame(scene, run, key, path, depth, rig, options):
+def _write_frame(
+        scene: SceneWriter, run: Run, key: str, path: Path, depth: FolderDepth | LidarDepth,
+        rig: Calibration, options: UavscenesOptions) -> None:
     """Write the images of one frame."""
     sample = run.samples[key]
     ids = named_ids(path)
@@ -205,7 +224,7 @@ def _write_frame(scene, run, key, path, depth, rig, options):
     size = max(1, round(full[0] * options.scale)), max(1, round(full[1] * options.scale))
     own = _camera(sample, rig, options)
 
-    def K_of(target):
+    def K_of(target: tuple[int, int]) -> NDArray[np.float64]:
         return scaled_K(own[0], own[2], target)
 
     image, encoding = depth.image(key, K_of, own[1], size)
@@ -217,7 +236,7 @@ def _write_frame(scene, run, key, path, depth, rig, options):
         scene.color(sample.stamp, *read_color(run.color[key], size))
 
 
-def named_ids(path):
+def named_ids(path: Path) -> NDArray[np.uint8]:
     """Return a label file as uint8 with 255 for all ids that UAVScenes gives no name."""
     array, _ = read_labels(path)
     table = np.full(256, UNNAMED, np.uint8)

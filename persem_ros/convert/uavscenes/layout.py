@@ -1,5 +1,7 @@
 """Where UAVScenes keeps a run's files, in all the forms that unpacking gives them."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 from glob import escape
 import json
@@ -58,7 +60,7 @@ class Run:
     lost: list = field(default_factory=list)
 
 
-def find_run(root, name, interval=None):
+def find_run(root: Path, name: str, interval: int | None = None) -> Run | None:
     """
     Return the Run called *name* below *root*.
 
@@ -104,13 +106,13 @@ def find_run(root, name, interval=None):
     return run
 
 
-def is_uavscenes(folder):
+def is_uavscenes(folder: Path) -> bool:
     """Whether a folder is ROOT, or a run or an archive below it."""
     return bool(_runs(Path(folder))) or any(
         next(Path(folder).glob(name), None) for name in (INFOS, 'interval[15]_*'))
 
 
-def folder_of(flag, text):
+def folder_of(flag: str, text: str) -> Path | None:
     """Return the folder that an option names, or refuse it."""
     path = Path(text)
     if not path.is_dir():
@@ -118,13 +120,13 @@ def folder_of(flag, text):
     return path
 
 
-def images(folder):
+def images(folder: Path) -> dict[str, Path]:
     """Return {stamp as text: path} of the files in a folder that are named after stamps."""
     found = files_of(folder, '*') if folder else {}
     return {key: path for key, path in found.items() if stamp_of_name(key) is not None}
 
 
-def find_calibration(root):
+def find_calibration(root: Path | str) -> Path | None:
     """Return the path of calibration_results.py at or below *root*, or None."""
     for wrapper in WRAPPERS:
         for path in sorted(Path(root).glob(f'{wrapper}calibration_results.py')):
@@ -132,7 +134,7 @@ def find_calibration(root):
     return None
 
 
-def _below(root, n, name, leaf):
+def _below(root: Path, n: int, name: str, leaf: str) -> Path | None:
     """Return the shallowest ROOT/…/interval<n>_<name>/<leaf>, or None."""
     for wrapper in WRAPPERS:
         for path in sorted(root.glob(f'{wrapper}interval{n}_{escape(name)}/{leaf}')):
@@ -140,13 +142,13 @@ def _below(root, n, name, leaf):
     return None
 
 
-def _runs(root):
+def _runs(root: Path) -> list[str]:
     """Return the names of the runs with poses below *root*."""
     return sorted({path.parent.name for wrapper in WRAPPERS
                    for path in root.glob(f'{wrapper}interval[15]_*/{INFOS}')})
 
 
-def _read_samples(path, run):
+def _read_samples(path: Path, run: Run) -> None:
     """Fill the samples of a run from the file of poses and intrinsics."""
     try:
         entries = json.loads(read_text(path))

@@ -1,17 +1,20 @@
 """Depth images from LiDAR scans."""
 
+from __future__ import annotations
+
 from pathlib import Path
 import re
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.errors import PersemError
 
 NAME = re.compile(r'image(\d+\.\d+)_lidar(\d+\.\d+)\.(?:txt|npy)')
 NEAREST = 0.05      # metres: what is nearer is the vehicle itself
 
 
-def scans_of(folder):
+def scans_of(folder: Path) -> dict[str, Path]:
     """Return {image stamp as text: path} of the scans in a folder, in order of stamps."""
     found = {}
     for path in sorted(Path(folder).iterdir()):
@@ -21,7 +24,7 @@ def scans_of(folder):
     return found
 
 
-def read_scan(path):
+def read_scan(path: Path) -> NDArray[np.float64]:
     """
     Return the points of a scan, shape (N, 3), float64, metres, LiDAR frame.
 
@@ -48,7 +51,9 @@ def read_scan(path):
     return points[np.isfinite(points).all(axis=1)]
 
 
-def depth_of_points(points, K, D, size):
+def depth_of_points(
+        points: NDArray[np.float64], K: NDArray[np.float64],
+        D: NDArray[np.float64] | tuple[float, ...], size: tuple[int, int]) -> NDArray[np.float32]:
     """
     Return the depth image of a point cloud; the nearest point of a pixel counts.
 

@@ -1,7 +1,9 @@
 """The counted classes: small numbers for ids, after a taxonomy has been applied."""
 
-import numpy as np
+from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
 from persem_ros.core.jit import kernel
 from persem_ros.frames import UNKNOWN
 
@@ -26,7 +28,7 @@ class Classes:
 
     """
 
-    def __init__(self, table=None):
+    def __init__(self, table: dict[int, int] | None = None) -> None:
         self.table = table
         self.index = np.zeros(UNKNOWN + 1, np.uint16)
         self.ids = [UNKNOWN]
@@ -34,7 +36,7 @@ class Classes:
         self._met = np.zeros(UNKNOWN + 1, np.uint8)
         self._met[UNKNOWN] = 1
 
-    def meet(self, image):
+    def meet(self, image: NDArray[np.int32]) -> bool:
         """Give new ids of an array of int32 or uint16 a class; return whether there were any."""
         new = np.zeros(UNKNOWN + 1, np.uint8)
         if not mark(np.ascontiguousarray(image).reshape(-1), self._met, new):
@@ -48,7 +50,7 @@ class Classes:
                 self.index[c] = self.ids.index(target)
         return True
 
-    def __len__(self):
+    def __len__(self) -> int:
         """Return the number of classes, the unknown one included."""
         return len(self.ids)
 

@@ -1,7 +1,12 @@
 """Several sequences become one evaluation: macro averages, differences, intervals."""
 
-import numpy as np
+from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 from persem_ros.evaluate.measure import intervals
 from persem_ros.evaluate.measure.counts import PLACES
 from persem_ros.evaluate.measure.measures import MEASURES
@@ -10,7 +15,8 @@ BASES = ('majority', 'raw2d', 'context_history')    # what methods are compared 
 BLOCK_ARRAYS = ('hits', 'predicted', 'true', 'changed', 'pairs', 'true_pairs', 'pixels')
 
 
-def combined(results, resamples=intervals.RESAMPLES):
+def combined(results: dict[str, tuple[dict[str, Any], dict[str, NDArray[np.int64]]]],
+             resamples: int = intervals.RESAMPLES) -> dict[str, Any]:
     """
     Return what evaluation.json holds.
 
@@ -51,7 +57,9 @@ def combined(results, resamples=intervals.RESAMPLES):
             for name, one in blocks.items()}}
 
 
-def _macro(rows, methods):
+def _macro(
+        rows: list[Any], methods: list[str]
+) -> dict[str, dict[str, dict[str, float | None]] | float | None]:
     """Return the macro average of one region over the sequences that know each value."""
     return {'sequences': sum(row['methods'][methods[0]]['pixel_accuracy'] is not None
                              for row in rows),
@@ -61,7 +69,7 @@ def _macro(rows, methods):
                                for key in MEASURES} for name in methods}}
 
 
-def mean(values):
+def mean(values: Iterator[Any]) -> float:
     """Return the mean of those that are known, None where none is."""
     known = [v for v in values if v is not None]
     return float(np.mean(known)) if known else None

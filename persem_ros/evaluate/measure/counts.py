@@ -1,7 +1,11 @@
 """What all measures are made of: pixels by class, changes, by region; in blocks of frames."""
 
-import numpy as np
+from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 from persem_ros.core.refine.regions import REGIONS
 from persem_ros.outputs.results.tally import CODES, codes_of, EVERYWHERE
 
@@ -31,17 +35,17 @@ class Counts:
 
     """
 
-    def __init__(self, methods, images, classes=ROOM):
+    def __init__(self, methods: int, images: int, classes: int = ROOM) -> None:
         self.methods, self.n_images, self.size = methods, images, classes
         self.clear()
 
-    def clear(self):
+    def clear(self) -> None:
         """Begin anew."""
         self.matrix = np.zeros((self.methods, CODES, self.size, self.size), np.int64)
         self.changed = np.zeros((self.methods + 1, CODES), np.int64)
         self.pairs, self.true_pairs, self.pixels = np.zeros((3, CODES), np.int64)
 
-    def grow(self, size):
+    def grow(self, size: int) -> None:
         """Make room for more classes."""
         old, self.size = self.matrix, size
         self.matrix = np.zeros((self.methods, CODES, size, size), np.int64)
@@ -67,11 +71,11 @@ class Block:
 
     FIELDS = ('hits', 'predicted', 'true', 'changed', 'pairs', 'true_pairs', 'pixels')
 
-    def __init__(self, **arrays):
+    def __init__(self, **arrays: Any) -> None:
         self.__dict__.update(arrays)
 
     @classmethod
-    def of(cls, counts):
+    def of(cls, counts: Counts) -> Block:
         """Return the Block of Counts."""
         codes = [codes_of(place) for place in PLACES]
         places = np.stack([counts.matrix[:, c].sum(1) for c in codes])
@@ -82,7 +86,7 @@ class Block:
                       for name in ('pairs', 'true_pairs', 'pixels')})
 
 
-def stacked(blocks, classes):
+def stacked(blocks: list[Block], classes: int) -> dict[str, NDArray[np.int64]]:
     """Return the blocks' arrays with the blocks as first axis; matrix is their sum."""
     result = {}
     for name in Block.FIELDS:
@@ -94,7 +98,7 @@ def stacked(blocks, classes):
     return result
 
 
-def _wide(array, size, axes):
+def _wide(array: NDArray[np.int64], size: int, axes: tuple[int, ...]) -> NDArray[np.int64]:
     """Return an array cut or filled up with zeros to *size* along *axes*."""
     shape = [size if a in axes else n for a, n in enumerate(array.shape)]
     result = np.zeros(shape, array.dtype)

@@ -1,10 +1,19 @@
 """Counting frames for all methods at once: by kind of voxel and true class (spec section 6)."""
 
-import numpy as np
+from __future__ import annotations
 
+from typing import Any, TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
 from persem_ros.core.jit import kernel
 from persem_ros.evaluate.measure.counts import Block, Counts
 from persem_ros.frames import UNKNOWN
+
+if TYPE_CHECKING:
+    from persem_ros.evaluate.measure.classes import Classes
+    from persem_ros.evaluate.measure.voxel_kinds import Kinds
+    from persem_ros.settings.config import Memory
 
 
 class Counter:
@@ -25,7 +34,8 @@ class Counter:
 
     """
 
-    def __init__(self, kinds, classes, methods, images, settings):
+    def __init__(self, kinds: Kinds, classes: Classes, methods: tuple[str, ...], images: int,
+                 settings: Memory) -> None:
         self.kinds, self.classes, self.methods = kinds, classes, tuple(methods)
         self.low, self.high = float(settings.min_depth), float(settings.max_depth)
         self.ignored = np.zeros(UNKNOWN + 1, np.bool_)
@@ -36,7 +46,9 @@ class Counter:
         self._before = {}       # sensor -> what the frame before left
         self._shown = np.zeros((2, len(methods) + 1), np.int64)
 
-    def frame(self, labels, depth, voxels, truth=None, images=(), sensor=''):
+    def frame(self, labels: NDArray[np.int32], depth: NDArray[np.float64],
+              voxels: NDArray[np.int32], truth: NDArray[np.int32] | None = None,
+              images: list[NDArray[Any]] = (), sensor: str = '') -> NDArray[np.int64]:
         """
         Count one integrated frame.
 
@@ -86,7 +98,7 @@ class Counter:
         self._before[sensor] = before
         return self._news()
 
-    def block(self):
+    def block(self) -> Block:
         """Return the counts since the last block by region, as Block; begin the next."""
         counts = self.counts
         spread(self.rows, self.kinds.codes, self.kinds.classes, counts.matrix, counts.n_images)
@@ -96,7 +108,7 @@ class Counter:
         self._shown[:] = 0
         return block
 
-    def _news(self):
+    def _news(self) -> NDArray[np.int64]:
         """Return what the last frame added to changed and compared pixels."""
         counts = self.counts
         now = np.stack([counts.changed.sum(1), np.append(
@@ -105,7 +117,7 @@ class Counter:
         self._shown = now
         return new
 
-    def _make_room(self):
+    def _make_room(self) -> None:
         """Let all tables hold the classes that are known by now."""
         if len(self.classes) > self.counts.size:
             size = 2 * self.counts.size

@@ -8,8 +8,13 @@ frames were looked at, not from which flight was flown.
 
 """
 
-import numpy as np
+from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 from persem_ros.evaluate.measure.counts import PLACES
 from persem_ros.evaluate.measure.measures import measure, MEASURES, number
 
@@ -20,7 +25,9 @@ NEEDED = ('hits', 'predicted', 'true', 'changed', 'pairs')
 CHUNK = 200             # resamples at a time: bounded memory
 
 
-def resampled(blocks, seed=0, resamples=RESAMPLES):
+def resampled(
+        blocks: dict[str, NDArray[Any]], seed: int = 0, resamples: int = RESAMPLES
+) -> NDArray[np.float64]:
     """
     Return the measures of resamples of a sequence.
 
@@ -52,7 +59,10 @@ def resampled(blocks, seed=0, resamples=RESAMPLES):
     return np.concatenate(parts)
 
 
-def differences(sequences, methods, base, resamples=RESAMPLES, drawn=None):
+def differences(
+        sequences: list[dict[str, NDArray[Any]]], methods: Sequence[str], base: str,
+        resamples: int = RESAMPLES, drawn: list[NDArray[np.float64]] | None = None
+) -> dict[Any, Any]:
     """
     Return the macro-averaged gain of each method over *base* with its interval.
 

@@ -1,14 +1,19 @@
 """Measures from counts: accuracy, mean IoU and flicker, for a sequence or for resamples of it."""
 
-import numpy as np
+from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 from persem_ros.evaluate.measure.counts import PLACES
 
 MEASURES = ('pixel_accuracy', 'miou', 'flicker')
 BETTER = {'pixel_accuracy': 1, 'miou': 1, 'flicker': -1}
 
 
-def measure(hits, predicted, true, changed, pairs, **_):
+def measure(hits: NDArray[Any], predicted: NDArray[Any], true: NDArray[Any], changed: NDArray[Any],
+            pairs: NDArray[Any] | int, **_: Any) -> NDArray[np.float64]:
     """
     Return the measures of every method in percent, NaN where they cannot be known.
 
@@ -40,7 +45,9 @@ def measure(hits, predicted, true, changed, pairs, **_):
     return np.stack(np.broadcast_arrays(accuracy, miou, flicker), axis=-1)
 
 
-def summary(blocks, methods, ids):
+def summary(
+        blocks: dict[str, NDArray[np.int64]], methods: tuple[str, ...], ids: list[int]
+) -> dict[str, Any]:
     """
     Return what metrics.json has for a sequence, from its blocks.
 
@@ -72,17 +79,17 @@ def summary(blocks, methods, ids):
     return {**result, 'regions': regions}
 
 
-def number(value):
+def number(value: float) -> float:
     """Return a float, None for what cannot be known."""
     return float(value) if np.isfinite(value) else None
 
 
-def percent(part, whole):
+def percent(part: int, whole: int) -> float:
     """Return 100 part / whole, None for a part of nothing."""
     return 100.0 * float(part) / float(whole) if whole else None
 
 
-def _iou(total, m, ids):
+def _iou(total: dict[str, NDArray[np.int64]], m: int, ids: list[int]) -> dict[str, float]:
     """Return {id: IoU in percent} of the classes that occur in the truth, by id."""
     hits, predicted, true = total['hits'][0, m], total['predicted'][0, m], total['true'][0]
     found = {int(ids[c]): percent(hits[c], true[c] + predicted[c] - hits[c])

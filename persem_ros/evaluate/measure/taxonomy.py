@@ -1,5 +1,7 @@
 """Taxonomies: which ids count, and which count as one, from a legend (spec section 6)."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 
 from persem_ros.settings.legend import Legend, load_legend
@@ -25,7 +27,8 @@ class Taxonomy:
     legend: Legend
 
 
-def taxonomy(labels='', grouped=False, dynamic=True, legend=None):
+def taxonomy(labels: str = '', grouped: bool = False, dynamic: bool = True,
+             legend: Legend | None = None) -> Taxonomy | None:
     """
     Return the Taxonomy that the options of persem evaluate ask for.
 

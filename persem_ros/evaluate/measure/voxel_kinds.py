@@ -6,10 +6,12 @@ methods: a map of some 100 000 voxels has a few thousand kinds.
 
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np
-
+from numpy.typing import NDArray
 from persem_ros.core.jit import kernel
 from persem_ros.outputs.results.tally import CODES
 
@@ -41,7 +43,8 @@ class Kinds:
     moving: np.ndarray
 
 
-def kinds_of(labels, codes, index, dynamic=()):
+def kinds_of(labels: NDArray[np.uint16], codes: NDArray[np.uint8], index: NDArray[np.uint16],
+             dynamic: tuple[int, ...] = ()) -> Kinds:
     """
     Return the Kinds of a map.
 
@@ -71,7 +74,8 @@ def kinds_of(labels, codes, index, dynamic=()):
     return Kinds(of, np.concatenate([unknown, rows, passed]), codes.astype(np.uint8), moving)
 
 
-def group(labels, codes, index, of):
+def group(labels: NDArray[np.uint16], codes: NDArray[np.uint8], index: NDArray[np.uint16],
+          of: NDArray[np.int32]) -> NDArray[np.int64]:
     """Write the kind of each voxel, from 1 on; return the first voxel of each, (kinds,)."""
     table = np.zeros(1 << max(10, int(2 * len(labels)).bit_length()), np.int32)
     first = np.empty(len(labels), np.int64)

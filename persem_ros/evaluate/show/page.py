@@ -1,9 +1,14 @@
 """report.html of an evaluation: one file, in the style of the replay's."""
 
+from __future__ import annotations
+
 from datetime import datetime, timezone
 import functools
+from typing import Any, TYPE_CHECKING
 
 import jinja2
+import numpy as np
+from numpy.typing import NDArray
 from persem_ros.errors import PersemError
 from persem_ros.evaluate.show import table
 from persem_ros.evaluate.show.paper_tables import tables
@@ -13,10 +18,14 @@ from persem_ros.outputs.report.png import data_uri
 from persem_ros.settings.config import settings
 from persem_ros.settings.legend import Legend
 
+if TYPE_CHECKING:
+    from pathlib import Path
+
 RASTER = ('panels', 'map')      # figures that are pictures: as PNG in the page
 
 
-def write(folder, evaluation, results):
+def write(folder: Path, evaluation: dict[str, Any],
+          results: dict[str, tuple[dict[str, Any], dict[str, NDArray[np.int64]]]]) -> None:
     """
     Draw all figures of an evaluation below *folder* and write its report.html.
 
@@ -50,7 +59,7 @@ def write(folder, evaluation, results):
     write_text(folder / 'report.html', render(evaluation, shown))
 
 
-def check():
+def check() -> None:
     """Refuse to draw without matplotlib."""
     try:
         import matplotlib  # noqa: F401 - only whether it is there
@@ -59,7 +68,7 @@ def check():
                           "'persem_ros[evaluate]', or leave them out with --no-figures") from None
 
 
-def render(evaluation, figures):
+def render(evaluation: dict[str, Any], figures: dict[str, list[dict[str, str]]]) -> str:
     """Return the page as text; figures: lists of figure() by sequence, '' for all together."""
     found = {item.key: item for item in tables(evaluation)}
     defaults = {name: list(v) if isinstance(v, tuple) else v for name, v, _ in settings()}
@@ -71,26 +80,26 @@ def render(evaluation, figures):
                  evaluation['settings'].items() if value != defaults.get(name)])
 
 
-def common():
+def common() -> dict[str, Any]:
     """Return what all pages of this package need."""
     return {'text_of': table.text_of, 'arrows': table.ARROWS,
             'written': datetime.now(timezone.utc).strftime('%Y-%m-%d %H:%M UTC')}
 
 
 @functools.lru_cache(maxsize=1)
-def environment():
+def environment() -> Any:
     """Return our templates before the replay's; everything that they show is escaped."""
     ours = page.environment()
     return ours.overlay(loader=jinja2.ChoiceLoader([
         jinja2.PackageLoader('persem_ros.evaluate.show', 'templates'), ours.loader]))
 
 
-def legend_of(summary):
+def legend_of(summary: dict[str, Any]) -> Legend:
     """Return the Legend that names and colours a sequence's classes."""
     return Legend.from_yaml(summary['legend']) if summary['legend'] else Legend()
 
 
-def figure(name, caption, images):
+def figure(name: str, caption: str, images: dict[str, bytes]) -> dict[str, str]:
     """Return what the page shows of a figure."""
     raster = name.partition('-')[0] in RASTER
     uri = data_uri('image/png', images['png']) if raster \
@@ -98,7 +107,7 @@ def figure(name, caption, images):
     return {'name': name, 'caption': caption, 'uri': uri}
 
 
-def _cards(evaluation):
+def _cards(evaluation: dict[str, Any]) -> tuple[str, list[dict[str, float | str | None]]]:
     """Return the three numbers at the top: the first method, majority and the last."""
     rows = evaluation['macro']['all']['methods']
     before = rows.get('raw2d')

@@ -1,5 +1,9 @@
 """The tables of an evaluation, in the form of the paper's."""
 
+from __future__ import annotations
+
+from typing import Any
+
 from persem_ros.evaluate.measure.combine import mean
 from persem_ros.evaluate.measure.counts import PLACES
 from persem_ros.evaluate.measure.measures import BETTER, MEASURES
@@ -12,7 +16,7 @@ PLACE_NAMES = {'all': 'all valid', 'boundary': 'boundary', 'difficult_core': 'di
 TRUTH = '(truth)'
 
 
-def tables(evaluation):
+def tables(evaluation: dict[str, Any]) -> list[Table]:
     """
     Return the tables that can be made of an evaluation, in the paper's order.
 
@@ -37,20 +41,20 @@ def tables(evaluation):
     return [*found, runtime(evaluation)]
 
 
-def measures(group='', signed=False):
+def measures(group: str = '', signed: bool = False) -> tuple[Column, Column, Column]:
     """Return the three columns of measures."""
     return tuple(Column(('Δ' if signed else '') + NAMES[key], BETTER[key], group, signed=signed)
                  for key in MEASURES)
 
 
-def main(evaluation):
+def main(evaluation: dict[str, Any]) -> Table:
     """Return Table 1: all methods, macro-averaged."""
     rows = _method_rows(evaluation['macro']['all'], evaluation['methods'])
     return marked(Table('main', f'Main results, {_of(evaluation)}', ('method',), measures(), rows,
                         notes(evaluation), _rules(rows)))
 
 
-def by_sequence(evaluation):
+def by_sequence(evaluation: dict[str, Any]) -> Table:
     """Return Table 1 sequence by sequence."""
     columns, parts = (), []
     for name, summary in evaluation['sequences'].items():
@@ -62,7 +66,7 @@ def by_sequence(evaluation):
                         notes(evaluation), _rules(rows)))
 
 
-def gains(evaluation, base):
+def gains(evaluation: dict[str, Any], base: str) -> Table:
     """Return the gains of all methods over one, with intervals."""
     found = evaluation['differences'][base]['all']
     n = len(evaluation['sequences'])
@@ -78,7 +82,7 @@ def gains(evaluation, base):
                  notes(evaluation, True))
 
 
-def ablation(evaluation):
+def ablation(evaluation: dict[str, Any]) -> Table:
     """Return Table 2: the components of the refinement."""
     rows = _method_rows(evaluation['macro']['all'],
                         [m for m in ABLATION if m in evaluation['methods']])
@@ -86,7 +90,7 @@ def ablation(evaluation):
                         measures(), rows, notes(evaluation), (len(rows) - 1,)))
 
 
-def trust(evaluation):
+def trust(evaluation: dict[str, Any]) -> Table:
     """Return Table 3: what trust replay adds to context and history, scene by scene."""
     rows, rules = [], []
     for name, summary in evaluation['sequences'].items():
@@ -105,7 +109,7 @@ def trust(evaluation):
                  measures(), rows, notes(evaluation, True), tuple(rules[1:]))
 
 
-def difficult(evaluation):
+def difficult(evaluation: dict[str, Any]) -> Table:
     """Return Table 4: gains over majority in the difficult regions."""
     found, rows = evaluation['differences']['majority'], []
     for place in PLACES:
@@ -118,7 +122,7 @@ def difficult(evaluation):
                  + _of(evaluation), ('region',), columns, rows, notes(evaluation, True))
 
 
-def runtime(evaluation):
+def runtime(evaluation: dict[str, Any]) -> Table:
     """Return Table 5: time and memory by stage."""
     columns = (Column('Frames', digits=0), Column('Voxels', digits=0),
                Column('History, s'), Column('Refinement, s', digits=3),
@@ -141,7 +145,7 @@ def runtime(evaluation):
                  [((str(row[0]),), tuple(Cell(v) for v in row[1:])) for row in rows], (note,))
 
 
-def notes(evaluation, intervals=False):
+def notes(evaluation: dict[str, Any], intervals: bool = False) -> tuple[str, ...]:
     """Return what the reader of a table must know."""
     macro, n = evaluation['macro']['all'], len(evaluation['sequences'])
     lines = []
@@ -163,28 +167,30 @@ def notes(evaluation, intervals=False):
     return tuple(lines)
 
 
-def _method_rows(region, methods):
+def _method_rows(region: dict[str, dict[str, dict[str, float | None]] | float | None],
+                 methods: list[str]) -> list[tuple[tuple[str], tuple[Cell, Cell, Cell]]]:
     """Return a row per method and the truth's, of a region of a summary or of the macro."""
     rows = [((name,), tuple(Cell(region['methods'][name][key]) for key in MEASURES))
             for name in methods]
     return [*rows, ((TRUTH,), _truth_cells(region))]
 
 
-def _truth_cells(region):
+def _truth_cells(
+        region: dict[str, dict[str, dict[str, float]] | float]) -> tuple[Cell, Cell, Cell]:
     return tuple(Cell(region['truth_flicker'] if key == 'flicker' else None) for key in MEASURES)
 
 
-def _of(evaluation):
+def _of(evaluation: dict[str, Any]) -> str:
     """Return what a table is about: the sequence, or how many."""
     names = list(evaluation['sequences'])
     return names[0] if len(names) == 1 else f'mean of {len(names)} sequences'
 
 
-def _interval(row):
+def _interval(row: dict[str, float]) -> Cell:
     return Cell(row['value'], row['low'], row['high'])
 
 
-def _rules(rows):
+def _rules(rows: list[tuple[tuple[str], tuple[Cell, ...]]]) -> tuple[int, ...]:
     """Return where the kinds of methods are set apart, as in the paper."""
     names = [head[0] for head, _ in rows]
     return tuple(names.index(name) for name in ('majority', 'trust', 'persem', TRUTH)

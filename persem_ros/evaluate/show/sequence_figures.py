@@ -1,13 +1,21 @@
 """The figures of one sequence: panels, flicker over time, confusion, the map from above."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, TYPE_CHECKING
+
 import cv2
 from matplotlib.patches import Patch
 import numpy as np
-
+from numpy.typing import NDArray
 from persem_ros.evaluate.show.style import new_figure, SOFT, STYLES, WORDS
 from persem_ros.frames import UNKNOWN
 from persem_ros.outputs.map.cloud import SOURCES
 from persem_ros.outputs.report.colors import SOURCE_COLORS
+
+if TYPE_CHECKING:
+    from persem_ros.settings.legend import Legend
 
 LINES = ('raw2d', 'ema2d', 'majority', 'persem')
 MATRICES = ('raw2d', 'majority', 'persem')
@@ -16,7 +24,8 @@ PALE = (222, 226, 230)  # what the majority decided
 CELLS = 144             # confusion matrices with more are drawn without numbers
 
 
-def figures(name, summary, arrays, legend):
+def figures(name: str, summary: dict[str, Any], arrays: dict[str, NDArray[np.int64]],
+            legend: Legend) -> Iterator[tuple[str, str, Any]]:
     """Yield (name, caption, figure) of one sequence; legend: names and colours of ids."""
     if any(key.startswith('panel/') for key in arrays):
         yield (f'panels-{name}', 'Frames in which the methods differ most. Black: no label.',
@@ -32,7 +41,7 @@ def figures(name, summary, arrays, legend):
                'refinement changed is drawn larger than it is.', top(arrays, legend))
 
 
-def panels(arrays, legend):
+def panels(arrays: dict[str, NDArray[np.int64]], legend: Legend) -> Any:
     """Draw the chosen frames: one a row, what they show in columns."""
     frames = sorted({int(k.split('/')[1]) for k in arrays if k.startswith('panel/')})
     columns = [what for what in ('color', 'truth', *STYLES)
@@ -60,7 +69,7 @@ def panels(arrays, legend):
     return figure
 
 
-def flicker(summary, arrays):
+def flicker(summary: dict[str, Any], arrays: dict[str, NDArray[np.int64]]) -> Any:
     """Draw flicker over time, with the truth's."""
     names = [*summary['methods_order'], 'truth']
     seconds = (arrays['frame/stamp'] - arrays['frame/stamp'][0]) / 1e9
@@ -84,7 +93,7 @@ def flicker(summary, arrays):
     return figure
 
 
-def confusion(summary, arrays):
+def confusion(summary: dict[str, Any], arrays: dict[str, NDArray[np.int64]]) -> Any:
     """Draw confusion matrices, each row in percent of its true class."""
     shown = [m for m in MATRICES if m in summary['methods_order']] or summary['methods_order'][:3]
     names = ['no label'] + [c['name'] for c in summary['classes']]
@@ -109,7 +118,7 @@ def confusion(summary, arrays):
     return figure
 
 
-def top(arrays, legend):
+def top(arrays: dict[str, NDArray[np.int64]], legend: Legend) -> Any:
     """Draw the map from above by label, source, entropy and switch rate."""
     label, extent = arrays['top/label'], arrays['top/extent']
     known = label != UNKNOWN
@@ -139,12 +148,12 @@ def top(arrays, legend):
     return figure
 
 
-def painted(image, legend):
+def painted(image: NDArray[np.uint16], legend: Legend) -> NDArray[np.uint8]:
     """Return an image of ids in the legend's colours, (h, w, 3) uint8."""
     return legend.colors(np.asarray(image, np.uint16))
 
 
-def _key(figure, ids, legend):
+def _key(figure: Any, ids: list[int] | set[int], legend: Legend) -> None:
     """Draw the legend of class colours below a figure."""
     found = {legend.name(i): legend.color(i) for i in sorted(ids) if i != UNKNOWN}
     handles = [Patch(color=np.array(color) / 255, label=name) for name, color in found.items()]

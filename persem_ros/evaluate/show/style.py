@@ -1,12 +1,17 @@
 """What all figures share: one look, no global state, SVG and PNG, the same bytes every time."""
 
+from __future__ import annotations
+
 import io
+from typing import Any, TYPE_CHECKING
 
 import matplotlib
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-
 from persem_ros.outputs.files import write_bytes
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 # Okabe and Ito's colours; methods of one family share a colour and differ in their marker.
 INK, SOFT = '#1b1f24', '#8a9099'
@@ -27,19 +32,19 @@ LOOK = {
 WORDS = {'pixel_accuracy': 'pixel accuracy, %', 'miou': 'mean IoU, %', 'flicker': 'flicker, %'}
 
 
-def look():
+def look() -> Any:
     """Return the context in which all figures are drawn."""
     return matplotlib.rc_context(LOOK)
 
 
-def new_figure(width, height):
+def new_figure(width: float, height: float) -> Any:
     """Return a Figure of *width* x *height* inches."""
     figure = Figure((width, height), layout='constrained')
     FigureCanvasAgg(figure)
     return figure
 
 
-def save(figure, path):
+def save(figure: Any, path: Path) -> dict[str, bytes]:
     """Write <path>.svg and <path>.png; return the bytes of both."""
     images = {}
     for kind, options in (('svg', {'metadata': {'Date': None}}), ('png', {'dpi': 150})):
@@ -50,6 +55,6 @@ def save(figure, path):
     return images
 
 
-def lighter(axes, which='both'):
+def lighter(axes: Any, which: str = 'both') -> None:
     """Turn the grid lines of an axis off."""
     axes.grid(False, axis=which)

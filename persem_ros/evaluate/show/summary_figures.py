@@ -1,5 +1,10 @@
 """The figures of several sequences together: trade-off, differences, classes, regions."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
 import numpy as np
 from persem_ros.evaluate.measure.combine import mean
 from persem_ros.evaluate.measure.counts import PLACES
@@ -10,7 +15,7 @@ from persem_ros.evaluate.show.style import INK, lighter, new_figure, SOFT, STYLE
 CLASSES_SHOWN = ('raw2d', 'ema2d', 'majority', 'persem')
 
 
-def figures(evaluation):
+def figures(evaluation: dict[str, Any]) -> Iterator[tuple[str, str, Any]]:
     """Yield (name, caption, figure) of what the evaluation allows."""
     if evaluation['macro']['all']['sequences']:
         yield ('tradeoff', 'Stability against correctness: the better, the further to the upper '
@@ -28,7 +33,7 @@ def figures(evaluation):
                'class occurs.', classes(evaluation))
 
 
-def tradeoff(evaluation):
+def tradeoff(evaluation: dict[str, Any]) -> Any:
     """Draw flicker against mean IoU; methods on voxels once more, enlarged."""
     rows = {name: row for name, row in evaluation['macro']['all']['methods'].items()
             if row['miou'] is not None and row['flicker'] is not None}
@@ -53,7 +58,7 @@ def tradeoff(evaluation):
     return figure
 
 
-def differences(evaluation, base):
+def differences(evaluation: dict[str, Any], base: str) -> Any:
     """Draw the gains of all methods over *base* as points with their intervals."""
     found = evaluation['differences'][base]['all']
     names = [name for name in found if name not in ('raw2d', 'ema2d')] or list(found)
@@ -72,7 +77,7 @@ def differences(evaluation, base):
     return figure
 
 
-def regions(evaluation):
+def regions(evaluation: dict[str, Any]) -> Any:
     """Draw the gains of persem over majority by region."""
     found = evaluation['differences']['majority']
     keys = [key for key in MEASURES if found['all']['persem'][key]['value'] is not None]
@@ -91,7 +96,7 @@ def regions(evaluation):
     return figure
 
 
-def _point(axes, row, y, color):
+def _point(axes: Any, row: dict[str, float | None], y: int, color: str) -> None:
     """Draw a difference with its interval; hollow where the interval holds zero."""
     if row['value'] is None:
         return
@@ -102,7 +107,7 @@ def _point(axes, row, y, color):
               markerfacecolor=color if sure else 'white', zorder=3)
 
 
-def classes(evaluation):
+def classes(evaluation: dict[str, Any]) -> Any:
     """Draw bars of IoU by class."""
     shown = [m for m in CLASSES_SHOWN if m in evaluation['methods']] or evaluation['methods'][:4]
     summaries = evaluation['sequences'].values()

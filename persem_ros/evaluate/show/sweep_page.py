@@ -1,19 +1,29 @@
 """Curves, heat maps and the page of a sweep."""
 
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any, TYPE_CHECKING
+
 import numpy as np
 from persem_ros.evaluate.measure.measures import BETTER, MEASURES
 from persem_ros.evaluate.show import page
 from persem_ros.outputs.files import write_text
 
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from persem_ros.evaluate.show.table import Table
+
 FROM_LOG = 30       # positive values that span more than this factor get a logarithmic axis
 
 
-def check():
+def check() -> None:
     """Refuse to draw without matplotlib."""
     page.check()
 
 
-def write(folder, result, item):
+def write(folder: Path, result: dict[str, Any], item: Table) -> None:
     """Write the figures and report.html of a sweep; item: its table."""
     from persem_ros.evaluate.show import style
     with style.look():
@@ -23,7 +33,7 @@ def write(folder, result, item):
         result=result, item=item, figures=shown, **page.common()))
 
 
-def figures(result):
+def figures(result: dict[str, Any]) -> Iterator[tuple[str, str, Any]]:
     """Yield (name, caption, figure): curves for one axis, heat maps for two."""
     axes = list(result['axes'])
     if len(axes) == 1:
@@ -36,7 +46,7 @@ def figures(result):
                        'sequences.', heat(result, axes, method))
 
 
-def curves(result, name):
+def curves(result: dict[str, Any], name: str) -> Any:
     """Draw all methods over one setting."""
     from persem_ros.evaluate.show.style import new_figure, SOFT, STYLES, WORDS
     values = result['axes'][name]
@@ -71,7 +81,7 @@ def curves(result, name):
     return figure
 
 
-def heat(result, names, method):
+def heat(result: dict[str, Any], names: list[str], method: str) -> Any:
     """Draw one method over two settings."""
     from persem_ros.evaluate.show.style import new_figure, WORDS
     rows, columns = (result['axes'][name] for name in names)
@@ -94,13 +104,13 @@ def heat(result, names, method):
     return figure
 
 
-def _series(result, value):
+def _series(result: dict[str, Any], value: Callable[..., Any]) -> list[float]:
     """Return one number per point, NaN for what is not known."""
     found = (value(point) for point in result['points'])
     return [np.nan if v is None else v for v in found]
 
 
-def _positions(values):
+def _positions(values: list[float | str]) -> tuple[list[float], list[str] | None, bool]:
     """Return places on the x axis, texts for them (None: numbers), whether it is logarithmic."""
     if not all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in values):
         return list(range(len(values))), [str(v) for v in values], False

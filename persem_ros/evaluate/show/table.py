@@ -1,8 +1,11 @@
 """The noun table: cells of numbers, written for a terminal, Markdown, LaTeX, CSV and JSON."""
 
+from __future__ import annotations
+
 import csv
 from dataclasses import dataclass, field
 import io
+from typing import Any
 
 ARROWS = {1: '↑', -1: '↓', 0: ''}
 LATEX_ARROWS = {1: r' $\uparrow$', -1: r' $\downarrow$', 0: ''}
@@ -59,7 +62,7 @@ class Table:
     rules: tuple = field(default=())
 
 
-def marked(table, floor='(truth)'):
+def marked(table: Table, floor: str = '(truth)') -> Table:
     """Return the table with the best cell of each column marked; the truth takes no part."""
     rows = [list(cells) for _, cells in table.rows]
     for k, column in enumerate(table.columns):
@@ -78,7 +81,7 @@ def marked(table, floor='(truth)'):
                  table.notes, table.rules)
 
 
-def text_of(cell, column, minus='-'):
+def text_of(cell: Cell, column: Column, minus: str = '-') -> str:
     """Return a cell as text: the number, its interval in brackets, a dash for unknown."""
     if cell.value is None:
         return '-'
@@ -91,7 +94,7 @@ def text_of(cell, column, minus='-'):
     return text.replace('-', minus)
 
 
-def console(table):
+def console(table: Table) -> str:
     """Return the table as aligned plain text."""
     names = [f'{c.name} {ARROWS[c.better]}'.strip() for c in table.columns]
     groups = [c.group for c in table.columns]
@@ -115,7 +118,7 @@ def console(table):
     return '\n'.join([*out, *table.notes])
 
 
-def markdown(table):
+def markdown(table: Table) -> str:
     """Return the table as GitHub's Markdown, the best in bold."""
     names = [f'{c.group}<br>{c.name} {ARROWS[c.better]}'.strip() if c.group
              else f'{c.name} {ARROWS[c.better]}'.strip() for c in table.columns]
@@ -128,7 +131,7 @@ def markdown(table):
     return '\n'.join([*lines, *(f'\n{note}' for note in table.notes)]) + '\n'
 
 
-def latex(table):
+def latex(table: Table) -> str:
     """Return the table as LaTeX for the package booktabs, in the paper's form."""
     groups = [c.group for c in table.columns]
     lines = [r'\begin{table}[t]', r'\centering',
@@ -152,7 +155,7 @@ def latex(table):
     return '\n'.join([*lines, r'\bottomrule', r'\end{tabular}', r'\end{table}', ''])
 
 
-def _spans(groups, offset):
+def _spans(groups: list[str], offset: int) -> list[str]:
     """Return the line of group names above the columns and its rules."""
     spans, at = [], 0
     while at < len(groups):
@@ -166,11 +169,11 @@ def _spans(groups, offset):
             ' '.join(rf'\cmidrule(lr){{{a}-{b}}}' for name, a, b in spans if name)]
 
 
-def _row(cells):
+def _row(cells: list[str]) -> str:
     return ' & '.join(cells) + r' \\'
 
 
-def escaped(text):
+def escaped(text: str) -> str:
     """Return text that LaTeX shows as it is."""
     special = {'\\': r'\textbackslash{}', '~': r'\textasciitilde{}', '^': r'\textasciicircum{}',
                'Δ': r'$\Delta$', '−': '$-$', '↑': r'$\uparrow$', '↓': r'$\downarrow$'}
@@ -178,7 +181,7 @@ def escaped(text):
     return ''.join(special.get(c, c) for c in text)
 
 
-def comma_separated(table):
+def comma_separated(table: Table) -> str:
     """Return the table as CSV: full precision, an interval as two columns, unknown empty."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator='\n')
@@ -195,7 +198,7 @@ def comma_separated(table):
     return out.getvalue()
 
 
-def as_json(table):
+def as_json(table: Table) -> dict[str, Any]:
     """Return the table as a dict for JSON."""
     return {'title': table.title, 'head': list(table.head),
             'columns': [{'name': c.name, 'group': c.group, 'better': c.better}

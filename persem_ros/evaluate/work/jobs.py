@@ -1,5 +1,8 @@
 """Tasks side by side: on this machine's cores, or on a cluster; results as they are ready."""
 
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
 from concurrent.futures import as_completed, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -9,16 +12,24 @@ from pathlib import Path
 import signal
 import sys
 import threading
+from typing import Any, TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
 from persem_ros.errors import PersemError
 from persem_ros.evaluate.work import sequence
 from tqdm import tqdm
+
+if TYPE_CHECKING:
+    from persem_ros.evaluate.work.task import Task
 
 WORKER_BYTES = 1.5e9        # free memory that a worker should find
 _done = None                # frames that all workers have read, in shared memory
 
 
-def results(tasks, workers=0, scheduler='', frames=None):
+def results(
+        tasks: list[Task], workers: int = 0, scheduler: str = '', frames: list[int] | None = None
+) -> Iterator[tuple[int, dict[str, Any], dict[str, NDArray[np.int64]]]]:
     """
     Yield (place in *tasks*, summary, arrays) as tasks are finished.
 
@@ -60,7 +71,9 @@ def results(tasks, workers=0, scheduler='', frames=None):
         raise PersemError(f'{failed[0][1]}{more}')
 
 
-def attempt(task, tick=None):
+def attempt(
+        task: Task, tick: Callable[..., Any] | None = None
+) -> str | tuple[dict[str, Any], dict[str, NDArray[np.int64]]]:
     """Return (summary, arrays) of a task, or the sentence that says why there is none."""
     try:
         return sequence.evaluate_sequence(task, tick)
@@ -69,18 +82,22 @@ def attempt(task, tick=None):
         return str(error) if name in str(error) else f'{name}: {error}'
 
 
-def attempt_alone(task):
+def attempt_alone(task: Any) -> Any:
     """Do the same on one thread: what a worker does."""
     sequence.one_thread()
     return attempt(task, _tick if _done is not None else None)
 
 
-def _here(tasks, bar):
+def _here(
+        tasks: list[Task], bar: Any
+) -> Iterator[tuple[int, str | tuple[dict[str, Any], dict[str, NDArray[np.int64]]]]]:
     for place, task in enumerate(tasks):
         yield place, attempt(task, bar.update)
 
 
-def _in_processes(tasks, workers, bar):
+def _in_processes(
+        tasks: list[Task], workers: int, bar: Any
+) -> Iterator[tuple[int, str | tuple[dict[str, Any], dict[str, NDArray[np.int64]]]]]:
     """Yield results of processes that share nothing with this one but a counter."""
     context = multiprocessing.get_context('spawn')      # a memory must not be forked
     done = context.Value('q', 0)
@@ -102,7 +119,9 @@ def _in_processes(tasks, workers, bar):
             child.join()
 
 
-def _on_cluster(tasks, address, frames, bar):
+def _on_cluster(
+        tasks: list[Task], address: str, frames: list[int], bar: Any
+) -> Iterator[tuple[int, tuple[dict[str, Any], dict[str, NDArray[np.int64]]]]]:
     """Yield results of a dask cluster, whose workers see the recordings under the same path."""
     try:
         from distributed import as_completed as as_finished, CancelledError, Client
@@ -134,7 +153,7 @@ def _on_cluster(tasks, address, frames, bar):
                               f'({" ".join(str(error).split())[:160]})') from None
 
 
-def _workers(asked, tasks):
+def _workers(asked: int, tasks: int) -> int:
     """Return the number of processes for some tasks."""
     most = asked or len(os.sched_getaffinity(0))
     if not asked:
@@ -142,7 +161,7 @@ def _workers(asked, tasks):
     return min(most, tasks)
 
 
-def _free_bytes():
+def _free_bytes() -> Any:
     """Return the memory that is free, 8 GB where the system does not say."""
     try:
         lines = Path('/proc/meminfo').read_text().splitlines()
@@ -151,7 +170,7 @@ def _free_bytes():
         return 8e9
 
 
-def _start_worker(done):
+def _start_worker(done: Any) -> None:
     """Prepare a worker: one thread, a counter, and it is the parent that hears Ctrl-C."""
     global _done
     _done = done
@@ -159,17 +178,17 @@ def _start_worker(done):
     sequence.one_thread()
 
 
-def _tick():
+def _tick() -> None:
     with _done.get_lock():
         _done.value += 1
 
 
 @contextmanager
-def _following(done, bar):
+def _following(done: Any, bar: Any) -> Iterator[Any]:
     """Let the progress bar follow the workers' counter."""
     stop = threading.Event()
 
-    def follow():
+    def follow() -> None:
         while not stop.wait(0.2):
             bar.update(done.value - bar.n)
     thread = threading.Thread(target=follow, daemon=True)
@@ -181,6 +200,6 @@ def _following(done, bar):
         thread.join()
 
 
-def _bar(frames):
+def _bar(frames: list[int]) -> Any:
     return tqdm(desc='evaluating', total=sum(frames), unit=' frames', leave=False,
                 dynamic_ncols=True, disable=not sys.stderr.isatty())

@@ -1,23 +1,30 @@
 """What a result was made of, so that nothing is computed twice and nothing stale is shown."""
 
+from __future__ import annotations
+
 from dataclasses import asdict
 import functools
 import hashlib
 import json
 from pathlib import Path
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.errors import PersemError
 from persem_ros.outputs.files import replacing, write_json
 from persem_ros.outputs.results import rundir
 from persem_ros.settings.config import settings
 from persem_ros.settings.legend import load_legend
 
+if TYPE_CHECKING:
+    from persem_ros.evaluate.work.task import Task
+
 MANIFEST, SUMMARY, ARRAYS = 'manifest.json', 'summary.json', 'arrays.npz'
 PIECE = 1 << 22
 
 
-def identity(task):
+def identity(task: Task) -> dict[str, Any]:
     """
     Return all that decides a task's result, as JSON: its inputs by content, its settings.
 
@@ -39,13 +46,13 @@ def identity(task):
                 if name not in ('commit', 'persem_ros')}}
 
 
-def key_of(found):
+def key_of(found: dict[str, Any]) -> str:
     """Return a short name for an identity."""
     return hashlib.sha256(json.dumps(found, sort_keys=True).encode()).hexdigest()[:16]
 
 
 @functools.lru_cache(maxsize=256)
-def content_hash(path):
+def content_hash(path: str) -> str:
     """Return a hash of a file or of all files in a folder, names included."""
     path = Path(path)
     if not path.exists():
@@ -62,7 +69,7 @@ def content_hash(path):
 
 
 @functools.lru_cache(maxsize=1)
-def source_hash():
+def source_hash() -> str:
     """Return a hash of the package's source: a commit says nothing of a changed work tree."""
     root = Path(__file__).parents[2]
     digest = hashlib.blake2b(digest_size=16)
@@ -72,7 +79,8 @@ def source_hash():
     return digest.hexdigest()
 
 
-def save(folder, found, summary, arrays):
+def save(folder: Path, found: dict[str, Any], summary: dict[str, Any],
+         arrays: dict[str, NDArray[np.int64]]) -> None:
     """Write a result and, last, the manifest that makes it count."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -84,7 +92,9 @@ def save(folder, found, summary, arrays):
     write_json(folder / MANIFEST, {'commit': rundir.commit(), **found})
 
 
-def load(folder, found=None):
+def load(
+        folder: Path, found: dict[str, Any] | None = None
+) -> tuple[dict[str, Any], dict[str, NDArray[np.int64]]] | None:
     """Return (summary, arrays) of a finished result, None where *found* is not its identity."""
     folder = Path(folder)
     try:
@@ -99,7 +109,7 @@ def load(folder, found=None):
         return None
 
 
-def changes(old, new):
+def changes(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
     """Return what differs between two identities, as short sentences."""
     lines = []
     for name in sorted({*old, *new}):
@@ -114,6 +124,6 @@ def changes(old, new):
     return lines
 
 
-def _short(value):
+def _short(value: float | list[str] | None) -> str:
     text = ' '.join(str(value).split())
     return text if len(text) <= 60 else text[:57] + '...'

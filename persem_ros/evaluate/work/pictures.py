@@ -1,11 +1,20 @@
 """What the figures show of a sequence: frames where methods differ most, the map from above."""
 
+from __future__ import annotations
+
 import heapq
+from typing import Any, TYPE_CHECKING
 
 import cv2
 import numpy as np
-
+from numpy.typing import NDArray
 from persem_ros.frames import UNKNOWN
+
+if TYPE_CHECKING:
+    from persem_ros.core.memory.voxel_memory import VoxelMemory
+    from persem_ros.evaluate.measure.voxel_kinds import Kinds
+    from persem_ros.evaluate.work.sequence import Sequence
+    from persem_ros.frames import Frame
 
 FRAMES = 4          # kept
 WIDTH = 480         # of a panel, pixels, at most
@@ -26,7 +35,7 @@ class Panels:
 
     """
 
-    def __init__(self, sequence, kinds):
+    def __init__(self, sequence: Sequence, kinds: Kinds) -> None:
         self._sequence, self._kinds = sequence, kinds
         self.shown = [m for m in METHODS if m in sequence.methods]
         columns = [sequence.methods.index(m) - len(sequence.images) for m in self.shown]
@@ -36,7 +45,8 @@ class Panels:
             else np.zeros(len(kinds.codes), bool)
         self._kept, self._number = [], 0
 
-    def offer(self, frame, labels, truth, voxels, images):
+    def offer(self, frame: Frame, labels: NDArray[np.int32], truth: NDArray[np.int32] | None,
+              voxels: NDArray[np.int32], images: list[NDArray[Any]]) -> None:
         """Keep a frame if its methods differ more than those of the frames that are kept."""
         kinds = np.where(voxels >= 0, self._kinds.of[voxels], 0)
         score = int(np.count_nonzero(self._differ[kinds]))
@@ -54,12 +64,15 @@ class Panels:
         while len(self._kept) > FRAMES:
             heapq.heappop(self._kept)
 
-    def arrays(self):
+    def arrays(self) -> dict[str, NDArray[np.uint16]]:
         """Return the panels as {'panel/<frame>/<what>': image}, in order of the frames."""
         return {f'panel/{number}/{what}': image for _, number, panels in sorted(
             self._kept, key=lambda item: item[1]) for what, image in panels.items()}
 
-    def _panels(self, frame, labels, truth, voxels, images):
+    def _panels(
+            self, frame: Frame, labels: NDArray[np.int32], truth: NDArray[np.int32] | None,
+            voxels: NDArray[np.int32], images: list[NDArray[Any]]
+    ) -> dict[str, NDArray[np.uint16]]:
         """Return the images of one frame by what they show, class ids as uint16."""
         step = -(-labels.shape[1] // WIDTH)
         here = (slice(None, None, step),) * 2
@@ -80,12 +93,13 @@ class Panels:
         return panels
 
 
-def ids(image):
+def ids(image: NDArray[Any]) -> NDArray[np.uint16]:
     """Return labels as uint16, UNKNOWN for what is no id."""
     return np.where((image < 0) | (image > UNKNOWN), UNKNOWN, image).astype(np.uint16)
 
 
-def top_view(memory, labels, sources, entropy, switch_rate):
+def top_view(memory: VoxelMemory, labels: NDArray[np.uint16], sources: NDArray[np.uint8],
+             entropy: NDArray[np.float32], switch_rate: NDArray[np.float32]) -> dict[str, Any]:
     """
     Return the map from above: of each column of voxels the top-most one.
 
@@ -116,7 +130,7 @@ def top_view(memory, labels, sources, entropy, switch_rate):
                                     low[1] + height * scale]) * size}
 
 
-def _small(color):
+def _small(color: Any) -> Any:
     """Return a colour image at the width of a panel."""
     height, width = color.shape[:2]
     if width <= WIDTH:

@@ -1,9 +1,14 @@
 """One sequence: a recording read twice becomes the counts of all methods."""
 
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import Any, TYPE_CHECKING
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros import ahead
 from persem_ros.core import jit
 from persem_ros.core.frame.images import counted, resampled
@@ -27,10 +32,17 @@ from persem_ros.preflight.look import opened
 from persem_ros.settings.config import IMAGE_METHODS, METHODS
 from persem_ros.settings.legend import Legend, load_legend
 
+if TYPE_CHECKING:
+    from persem_ros.evaluate.work.task import Task
+    from persem_ros.frames import Frame
+    from persem_ros.settings.config import Memory
+
 BLOCKS = 30         # stretches of frames that intervals are made of
 
 
-def evaluate_sequence(task, tick=None):
+def evaluate_sequence(
+        task: Task, tick: Callable[..., Any] | None = None
+) -> tuple[dict[str, Any], dict[str, NDArray[np.int64]]] | None:
     """
     Evaluate one recording.
 
@@ -66,7 +78,9 @@ def evaluate_sequence(task, tick=None):
 class Sequence:
     """An evaluation under way; parameters as of evaluate_sequence."""
 
-    def __init__(self, task, recording, tick=None):
+    def __init__(
+            self, task: Task, recording: Recording, tick: Callable[..., Any] | None = None
+    ) -> None:
         self.task, self.recording, self._tick = task, recording, tick
         self.stream = Stream(recording, task.predictions, task.disturbance)
         self.watch = rundir.Stopwatch()
@@ -77,7 +91,7 @@ class Sequence:
         self.classes = Classes(self.taxonomy.table)
         self.frames = 0
 
-    def integrate(self):
+    def integrate(self) -> None:
         """Read the recording and build the map."""
         order = self.task.disturbance.order
         waiting = []
@@ -98,7 +112,7 @@ class Sequence:
                 self.pipeline.memory.add(observations)
         self.dropped = dict(self.recording.dropped)
 
-    def label(self):
+    def label(self) -> None:
         """Label the map by every method, from one snapshot, and find the kinds of voxels."""
         memory, config = self.pipeline.memory, self.task.config
         with self.watch('snapshot'):
@@ -125,7 +139,7 @@ class Sequence:
                                config.memory)
         self.panels = Panels(self, kinds) if self.task.pictures else None
 
-    def measure(self):
+    def measure(self) -> None:
         """Read the recording again and count every frame."""
         smoothers, blocks, changed, pairs, stamps = {}, [], [], [], []
         ends = {self.frames * (b + 1) // min(BLOCKS, self.frames) for b in range(BLOCKS)}
@@ -152,7 +166,7 @@ class Sequence:
         self.series = {'frame/changed': np.array(changed), 'frame/compared': np.array(pairs),
                        'frame/stamp': np.array(stamps, np.int64)}
 
-    def result(self, peak):
+    def result(self, peak: int) -> tuple[dict[str, Any], dict[str, NDArray[np.int64]]]:
         """Return (summary, arrays) of evaluate_sequence."""
         memory, ids = self.pipeline.memory, self.classes.ids
         matrix = self.blocks.pop('matrix')
@@ -187,7 +201,7 @@ class Sequence:
                                    self.sources, self.entropy, self.switch_rate))
         return result, arrays
 
-    def labels_of(self, method):
+    def labels_of(self, method: str) -> NDArray[np.uint16]:
         """Return a method's labels by voxel number; the majority where it was not asked for."""
         voxel_methods = self.methods[len(self.images):]
         if method in voxel_methods:
@@ -195,7 +209,7 @@ class Sequence:
         memory = self.pipeline.memory
         return np.ascontiguousarray(memory.m.voxels['majority'][:memory.n_voxels])
 
-    def _read(self, **wanted):
+    def _read(self, **wanted: Any) -> Iterator[Frame]:
         """Yield the frames, read ahead where there is more than one thread."""
         frames = self.watch.iterate('read', self.stream.frames(**wanted))
         for frame in ahead.read_ahead(frames) if jit.threads() > 1 else frames:
@@ -203,25 +217,27 @@ class Sequence:
             if self._tick:
                 self._tick()
 
-    def _smoothed(self, sensor, labels, smoothers):
+    def _smoothed(
+            self, sensor: str, labels: NDArray[np.int32], smoothers: dict[str, EmaImages]
+    ) -> NDArray[np.uint16]:
         """Return the labels of ema2d; dynamic things are smoothed like all others."""
         if sensor not in smoothers:
             smoothers[sensor] = EmaImages(self.task.config.ema.alpha)
         return smoothers[sensor].update(counted(labels, _everything(self.task.config.memory)))
 
 
-def one_thread():
+def one_thread() -> None:
     """Let this process compute on one core: a worker among others."""
     jit.set_threads(1)
     cv2.setNumThreads(1)
 
 
-def _everything(settings):
+def _everything(settings: Memory) -> Memory:
     """Return the settings that say which ids count, for whole images."""
     return replace(settings, stride=1, dynamic_labels=(-1,))
 
 
-def _legend(recording, task):
+def _legend(recording: Recording, task: Task) -> Legend:
     """Return the legend of labels.legend, else the recording's, else an empty one."""
     if task.config.labels.legend:
         return load_legend(task.config.labels.legend)

@@ -1,9 +1,14 @@
 """The frames of an evaluation: as recorded, with other predictions, or disturbed on purpose."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.convert.files import files_of
 from persem_ros.convert.images import nearest as nearest_pixels, read_labels
 from persem_ros.convert.stamps import stamp_of_name, stamps_from_names
@@ -11,6 +16,10 @@ from persem_ros.core.transforms import transform
 from persem_ros.errors import PersemError
 from persem_ros.frames import same_aspect
 from persem_ros.settings.config import nearest
+
+if TYPE_CHECKING:
+    from persem_ros.frames import Frame
+    from persem_ros.inputs.recording.recording import Recording
 
 ORDERS = ('recorded', 'reversed', 'shuffled')
 
@@ -44,7 +53,7 @@ class Disturbance:
     order: str = 'recorded'
     seed: int = 0
 
-    def with_value(self, name, value):
+    def with_value(self, name: str, value: float | str) -> Disturbance | None:
         """
         Return this with one value replaced.
 
@@ -88,12 +97,13 @@ class Stream:
 
     """
 
-    def __init__(self, recording, predictions='', disturbance=Disturbance()):
+    def __init__(self, recording: Recording, predictions: str = '',
+                 disturbance: Disturbance = Disturbance()) -> None:
         self.recording, self.disturbance = recording, disturbance
         self.predictions = prediction_files(predictions) if predictions else None
         self.unpredicted = 0
 
-    def frames(self, **wanted):
+    def frames(self, **wanted: Any) -> Iterator[Frame]:
         """Yield the frames in stamp order; parameters as of Recording.frames."""
         d = self.disturbance
         walk = np.zeros(3)
@@ -112,7 +122,7 @@ class Stream:
             yield frame
 
 
-def prediction_files(folder):
+def prediction_files(folder: str) -> dict[int, Path] | None:
     """
     Return {stamp: path} of a folder of label images.
 
@@ -133,7 +143,7 @@ def prediction_files(folder):
     return {stamps[key]: path for key, path in files.items()}
 
 
-def predicted(frame, path):
+def predicted(frame: Frame, path: Path) -> Frame:
     """Return a frame with the labels of a file, on the grid of its own; refuse another shape."""
     labels = read_labels(path)[0]
     shape = frame.labels.shape
@@ -143,7 +153,8 @@ def predicted(frame, path):
     return replace(frame, labels=nearest_pixels(labels, shape[::-1]).astype(np.int32))
 
 
-def disturbed(frame, disturbance, rng, walk):
+def disturbed(frame: Frame, disturbance: Disturbance, rng: np.random.Generator,
+              walk: NDArray[np.float64]) -> Frame:
     """Return a frame with noise of *rng* and the drift *walk*, shape (3,), metres."""
     d = disturbance
     changes = {}

@@ -1,17 +1,26 @@
 """The map for the 3-D view: few bytes a voxel, packed for the page."""
 
+from __future__ import annotations
+
 import base64
+from collections.abc import Sequence
+from typing import Any, TYPE_CHECKING
 import zlib
 
 import numpy as np
-
+from numpy.typing import NDArray
 from persem_ros.outputs.report.colors import ramp, SOURCE_COLORS
+
+if TYPE_CHECKING:
+    from persem_ros.settings.legend import Legend
 
 VOXELS = 400_000    # more are too many for a telephone
 SPAN = 65_535       # cells along an axis that uint16 can count
 
 
-def packed(columns, voxel_size, legend, track=()):
+def packed(
+        columns: dict[str, Any], voxel_size: float, legend: Legend, track: Sequence[Any] = ()
+) -> dict[str, Any]:
     """
     Return what the page's viewer reads.
 
@@ -67,7 +76,7 @@ def packed(columns, voxel_size, legend, track=()):
             np.ascontiguousarray(a).tobytes() for a in data), 7)).decode()}
 
 
-def _exposed(voxel):
+def _exposed(voxel: NDArray[np.int64]) -> NDArray[np.uint8]:
     """Return (n,) uint8: bits of the sides -x +x -y +y -z +z that no known voxel covers."""
     span = np.ptp(voxel, axis=0) + 3
     steps = np.array([span[1] * span[2], span[2], 1])
@@ -80,7 +89,9 @@ def _exposed(voxel):
     return result
 
 
-def _halved(voxel, row, observations):
+def _halved(
+        voxel: NDArray[np.int64], row: NDArray[np.int64], observations: NDArray[np.uint32]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return (voxel, row) with one row for 2 x 2 x 2 voxels, sorted: the most observed one."""
     voxel = voxel >> 1
     order = np.lexsort((observations[row], voxel[:, 2], voxel[:, 1], voxel[:, 0]))
@@ -89,6 +100,6 @@ def _halved(voxel, row, observations):
     return voxel[last], row[last]
 
 
-def _thinned(line, most=2000):
+def _thinned(line: NDArray[np.float64], most: int = 2000) -> NDArray[np.float64]:
     """Return at most about *most* rows of a line."""
     return line[::-(-len(line) // most)]

@@ -1,16 +1,27 @@
 """One picture of a replay for a README or a talk: a frame as every stage sees it, and the map."""
 
+from __future__ import annotations
+
 from pathlib import Path
+from typing import Any, TYPE_CHECKING
 
 import cv2
 import numpy as np
-
+from numpy.typing import NDArray
 from persem_ros.errors import PersemError
 from persem_ros.outputs.files import write_bytes
 from persem_ros.outputs.report import maps
 from persem_ros.outputs.report.colors import VERDICT_COLORS
 from persem_ros.outputs.report.strip import Strip, verdict
 from persem_ros.outputs.report.watcher import offer
+
+if TYPE_CHECKING:
+    from persem_ros.core.memory.voxel_memory import VoxelMemory
+    from persem_ros.frames import Frame
+    from persem_ros.outputs.report.strip import Sample
+    from persem_ros.rendering import Rendering
+    from persem_ros.replay import Replay
+    from persem_ros.settings.legend import Legend
 
 WIDTH, GAP, TITLE = 1600, 14, 34        # pixels
 INK, SOFT, PAPER = (27, 31, 36), (93, 102, 112), (252, 252, 252)
@@ -21,19 +32,19 @@ FORMATS = {'.png': (cv2.IMWRITE_PNG_COMPRESSION, 9), '.jpg': (cv2.IMWRITE_JPEG_Q
 class FigureWatcher:
     """Writes a figure, 1600 pixels wide, of a replay (persem_ros.replay.Replay)."""
 
-    def __init__(self, path):
+    def __init__(self, path: str) -> None:
         self._path, self._strip = Path(path), None
         if self._path.suffix.lower() not in FORMATS:
             raise PersemError(f'--figure {path}: expected a name that ends in '
                               f'{" or ".join(FORMATS)}')
 
-    def frame(self, replay, frame, rendering):
+    def frame(self, replay: Replay, frame: Frame, rendering: Rendering) -> None:
         """Keep some of the frames."""
         if self._strip is None:
             self._strip = Strip(replay.recording.expected)
         offer(self._strip, replay, frame, rendering)
 
-    def finish(self, replay, result):
+    def finish(self, replay: Replay, result: dict[str, Any]) -> None:
         """Write the figure."""
         picture = figure(best(self._strip.chosen()), replay.config.refine.method, replay.legend,
                          replay.pipeline.memory)
@@ -43,9 +54,9 @@ class FigureWatcher:
         write_bytes(self._path, cv2.imencode(ending, picture[..., ::-1], FORMATS[ending])[1])
 
 
-def best(samples):
+def best(samples: list[Sample]) -> Sample:
     """Return the Sample with the largest gain; without truth the one that changed most."""
-    def gain(sample):
+    def gain(sample: Sample) -> float:
         if 'truth' not in sample.images:
             return np.mean(sample.images['refined'] != sample.images['input'])
         counts = np.bincount(verdict(sample).ravel(), minlength=3)
@@ -53,7 +64,7 @@ def best(samples):
     return max(samples, key=gain)
 
 
-def figure(sample, method, legend, memory):
+def figure(sample: Sample, method: str, legend: Legend, memory: VoxelMemory) -> NDArray[np.uint8]:
     """Return the figure, (H, 1600, 3) uint8 red green blue."""
     panels = _panels(sample, method, legend)
     columns = -(-len(panels) // 2)
@@ -75,7 +86,8 @@ def figure(sample, method, legend, memory):
     return canvas
 
 
-def _panels(sample, method, legend):
+def _panels(
+        sample: Sample, method: str, legend: Legend) -> list[tuple[str, str, NDArray[np.uint8]]]:
     """Return (title, note, picture) of image, input, majority, refined, truth and the change."""
     result = [] if sample.color is None else [('image', '', sample.color)]
     for key, title in (('input', 'input labels'), ('majority', 'majority'),
@@ -96,7 +108,7 @@ def _panels(sample, method, legend):
     return result
 
 
-def _map(width, height, legend, memory):
+def _map(width: int, height: int, legend: Legend, memory: VoxelMemory) -> NDArray[np.uint8]:
     """Return the map from above with the camera's path and a scale bar, (height, width, 3)."""
     canvas = np.full((height, width, 3), (20, 24, 29), np.uint8)
     top = maps.top_view(memory.voxels(), memory.voxel_size, legend)
@@ -119,7 +131,8 @@ def _map(width, height, legend, memory):
     return canvas
 
 
-def _write(canvas, text, x, y, color, right=False):
+def _write(canvas: NDArray[np.uint8], text: str, x: int, y: int, color: tuple[int, int, int],
+           right: bool = False) -> None:
     """Write text with its lower left (or right) corner at (x, y)."""
     font, scale = cv2.FONT_HERSHEY_SIMPLEX, 0.58
     if right:

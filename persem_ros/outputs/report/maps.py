@@ -1,14 +1,23 @@
 """The map from above: the top-most voxel of every column, as pictures."""
 
-import numpy as np
+from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import Any, TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
 from persem_ros.outputs.report.colors import ramp, SOURCE_COLORS
+
+if TYPE_CHECKING:
+    from persem_ros.core.memory.voxel_memory import VoxelMemory
+    from persem_ros.settings.legend import Legend
 
 CELLS = 1000        # the longer side of a picture, at most
 OUTSIDE = 0.001     # share of the columns that may be cut off at each edge
 
 
-def top_view(columns, voxel_size, legend):
+def top_view(columns: dict[str, Any], voxel_size: float, legend: Legend) -> dict[str, Any]:
     """
     Return the map from above: x to the right, y up.
 
@@ -55,7 +64,7 @@ def top_view(columns, voxel_size, legend):
             'left_out': int(np.count_nonzero(~inside)), 'scale': scale}
 
 
-def tracks(memory, most=2000):
+def tracks(memory: VoxelMemory, most: int = 2000) -> list[NDArray[np.float64]]:
     """Return the cameras' positions in the voxels' frame, metres, one (n, 3) array a sensor."""
     table = memory.frames
     which, first = np.unique(np.stack([table.session, table.sensor], axis=1), axis=0,
@@ -65,13 +74,13 @@ def tracks(memory, most=2000):
     return [(line - memory.origin)[::-(-len(line) // most)] for line in lines]
 
 
-def on_top(track, top):
+def on_top(track: NDArray[np.float64], top: dict[str, Any]) -> NDArray[np.float64]:
     """Return where a track (n, 3) lies in a top_view: (n, 2) shares of width and height."""
     (x0, x1), (y0, y1) = top['x'], top['y']
     return np.stack([(track[:, 0] - x0) / (x1 - x0), (y1 - track[:, 1]) / (y1 - y0)], axis=1)
 
 
-def _edges(cells):
+def _edges(cells: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the low and high corner that leave a few stray columns outside."""
     low, high = cells.min(axis=0), cells.max(axis=0)
     near = np.quantile(cells, [OUTSIDE, 1 - OUTSIDE], axis=0, method='nearest').astype(np.int64)
@@ -79,7 +88,8 @@ def _edges(cells):
     return np.where(stray, near[0], low), np.where(stray, near[1], high)
 
 
-def _layers(found, height, known, legend, cell):
+def _layers(found: dict[str, Any], height: NDArray[np.float64], known: NDArray[np.bool_],
+            legend: Legend, cell: float) -> Iterator[dict[str, Any]]:
     """Yield each layer's picture with its colour bar."""
     shade = relief(height, known, cell)[..., None]
     colors = (legend.colors(found['label']) * shade).clip(0, 255)
@@ -99,7 +109,8 @@ def _layers(found, height, known, legend, cell):
                  bar('z in the map frame, m', float(low), float(high)))
 
 
-def relief(height, known, cell):
+def relief(
+        height: NDArray[np.float64], known: NDArray[np.bool_], cell: float) -> NDArray[np.float64]:
     """Return a factor of brightness, (h, w) float: light falls from the upper left."""
     flat = np.where(known, height, np.nan)
     slope = np.zeros(height.shape)
@@ -109,7 +120,9 @@ def relief(height, known, cell):
     return 1.0 + 0.16 * np.tanh(-0.7 * slope / cell)
 
 
-def bar(text, low, high, log=False):
+def bar(
+        text: str, low: float, high: float, log: bool = False
+) -> dict[str, list[tuple[float, str]] | str]:
     """Return what a colour bar shows: its text and five (place in percent, number) ticks."""
     places = np.linspace(0, 1, 5)
     values = low * (high / low) ** places if log else low + (high - low) * places
@@ -117,13 +130,14 @@ def bar(text, low, high, log=False):
                                     for p, v in zip(places, values)]}
 
 
-def scale_bar(extent):
+def scale_bar(extent: float) -> float:
     """Return the metres of a scale bar that fills about a fifth of *extent* metres."""
     power = 10.0 ** np.floor(np.log10(extent / 4))
     return float(max(step * power for step in (1, 2, 5) if step * power <= extent / 4))
 
 
-def _layer(key, title, rgb, known, bar):
+def _layer(key: str, title: str, rgb: NDArray[Any], known: NDArray[np.bool_],
+           bar: dict[str, list[tuple[float, str]] | str] | None) -> dict[str, Any]:
     alpha = np.where(known, 255, 0)
     rgba = np.concatenate([np.where(known[..., None], rgb, 0), alpha[..., None]], axis=2)
     return {'key': key, 'title': title, 'bar': bar, 'pixels': rgba.astype(np.uint8)}

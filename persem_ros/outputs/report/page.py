@@ -1,16 +1,25 @@
 """The page as a whole: what goes into the templates."""
 
+from __future__ import annotations
+
 from datetime import datetime, timezone
 import functools
 from importlib import resources
+from typing import Any, TYPE_CHECKING
 
 import jinja2
 import numpy as np
-
+from numpy.typing import NDArray
 from persem_ros.frames import UNKNOWN
 from persem_ros.outputs.map.cloud import SOURCES
 from persem_ros.outputs.report import cloud3d, colors, maps, series, tables
 from persem_ros.outputs.report.png import data_uri, png
+
+if TYPE_CHECKING:
+    from persem_ros.core.memory.voxel_memory import FrameRecord
+    from persem_ros.inputs.recording.recording import Recording
+    from persem_ros.replay import Replay
+    from persem_ros.settings.legend import Legend
 
 METHOD_TEXTS = {
     'raw2d': 'the input labels as they came',
@@ -19,7 +28,8 @@ METHOD_TEXTS = {
     'persem': 'anchored in histories, revised by trust, verified by context'}
 
 
-def render(replay, result, frames, ids, flicker):
+def render(replay: Replay, result: dict[str, Any], frames: list[dict[str, Any]], ids: list[int],
+           flicker: dict[str, Any]) -> str:
     """
     Return report.html as text.
 
@@ -72,7 +82,7 @@ def render(replay, result, frames, ids, flicker):
 
 
 @functools.lru_cache(maxsize=1)
-def environment():
+def environment() -> Any:
     """Return the templates; everything that they show is escaped."""
     env = jinja2.Environment(
         loader=jinja2.PackageLoader('persem_ros.outputs.report', 'templates'),
@@ -82,17 +92,17 @@ def environment():
     return env
 
 
-def _asset(name):
+def _asset(name: str) -> str:
     """Return a file of ours that goes into the page as it is."""
     return (resources.files('persem_ros.outputs.report') / 'assets' / name).read_text('utf-8')
 
 
-def _number(value, digits=0):
+def _number(value: float, digits: int = 0) -> str:
     """Return a number with thin spaces between thousands, a dash where there is none."""
     return '–' if value is None else f'{value:,.{digits}f}'.replace(',', '\u2009')
 
 
-def _map(replay, columns):
+def _map(replay: Replay, columns: dict[str, Any]) -> dict[str, Any]:
     """Return the map's pictures and the 3-D view's data."""
     memory = replay.pipeline.memory
     top = maps.top_view(columns, memory.voxel_size, replay.legend)
@@ -106,28 +116,28 @@ def _map(replay, columns):
             'scale_bar': maps.scale_bar(np.ptp(top['x'])), 'ramp': colors.css_gradient()}
 
 
-def _classes(legend, ids):
+def _classes(legend: Legend, ids: list[int]) -> list[dict[str, Any]]:
     return [{'id': i, 'name': 'no label' if i == UNKNOWN else legend.name(i),
              'color': legend.color(i)} for i in ids]
 
 
-def _sources(source):
+def _sources(source: NDArray[np.uint8]) -> list[dict[str, Any]]:
     """Return name, meaning, colour and number of voxels of what can decide a label."""
     counts = np.bincount(source, minlength=len(SOURCES))
     return [{'name': name, 'text': colors.SOURCE_TEXTS[name], 'color': color, 'voxels': int(n)}
             for name, color, n in zip(SOURCES, colors.SOURCE_COLORS, counts)]
 
 
-def _verdicts():
+def _verdicts() -> list[dict[str, str | tuple[int, int, int]]]:
     return [{'name': name, 'color': color}
             for name, color in zip(colors.VERDICTS, colors.VERDICT_COLORS)]
 
 
-def _topics(recording):
+def _topics(recording: Recording) -> list[tuple[str, str, str, str]]:
     """Return (camera, kind, topic name, type) of what was read."""
     return [(camera, kind, info.name, info.msgtype)
             for camera, kinds in recording.topics.items() for kind, info in kinds.items()]
 
 
-def _seconds(frames):
+def _seconds(frames: Any) -> float:
     return float(frames.stamp.max() - frames.stamp.min()) / 1e9 if len(frames) else 0.0

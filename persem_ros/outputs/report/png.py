@@ -1,14 +1,18 @@
 """Pictures as data URIs: PNG with a palette, PNG, JPEG."""
 
+from __future__ import annotations
+
 import base64
 import struct
 import zlib
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 
-def indexed_png(index, palette, clear=None):
+def indexed_png(
+        index: NDArray[np.uint8], palette: NDArray[np.uint8], clear: int | None = None) -> bytes:
     """
     Return an image of few colours as a PNG with a palette: a third of the size of an RGB one.
 
@@ -41,20 +45,20 @@ def indexed_png(index, palette, clear=None):
         for kind, data in chunks)
 
 
-def png(rgba):
+def png(rgba: NDArray[np.uint8]) -> bytes:
     """Return an image, (H, W, 4) uint8 red green blue alpha, as PNG bytes."""
     return _encoded('.png', rgba[..., [2, 1, 0, 3]], [cv2.IMWRITE_PNG_COMPRESSION, 7])
 
 
-def jpeg(rgb, quality=72):
+def jpeg(rgb: NDArray[np.uint8], quality: int = 72) -> bytes:
     """Return an image, (H, W, 3) uint8 red green blue, as JPEG bytes."""
     return _encoded('.jpg', rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
 
 
-def data_uri(kind, content):
+def data_uri(kind: str, content: bytes) -> str:
     """Return *content* as a data URI of the media type *kind*."""
     return f'data:{kind};base64,{base64.b64encode(content).decode()}'
 
 
-def _encoded(ending, image, options):
+def _encoded(ending: str, image: NDArray[np.uint8], options: list[int]) -> bytes:
     return cv2.imencode(ending, np.ascontiguousarray(image), options)[1].tobytes()

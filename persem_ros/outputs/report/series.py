@@ -1,5 +1,9 @@
 """Flicker over time, from the same counts as the totals in metrics.json."""
 
+from __future__ import annotations
+
+from typing import Any
+
 import numpy as np
 
 POINTS = 300        # of a line on the page, at most
@@ -8,15 +12,15 @@ POINTS = 300        # of a line on the page, at most
 class FlickerSeries:
     """The counts of flicker after every frame, by method."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._stamps, self._counts = [], []
 
-    def add(self, stamp, counts):
+    def add(self, stamp: int, counts: dict[str, tuple[int, int]]) -> None:
         """Add what was counted up to now: {method: (changed pixels, compared pixels)}."""
         self._stamps.append(stamp)
         self._counts.append(counts)
 
-    def lines(self):
+    def lines(self) -> dict[str, Any]:
         """
         Return the flicker of each frame against the one before, or of a few frames together.
 
@@ -43,7 +47,7 @@ class FlickerSeries:
                 'frames': together, 'lines': lines}
 
 
-def chart(series):
+def chart(series: dict[str, Any]) -> dict[str, Any] | None:
     """
     Return the lines in the places where the page draws them, percent of width and height.
 
@@ -69,13 +73,13 @@ def chart(series):
             'lines': {name: _polylines(t, line, top) for name, line in lines.items()}}
 
 
-def nice(step):
+def nice(step: float) -> float:
     """Return the smallest of 1, 2 or 5 times a power of ten that is not below *step*."""
     power = 10.0 ** np.floor(np.log10(step))
     return float(min(k * power for k in (1, 2, 5, 10) if k * power >= step * (1 - 1e-9)))
 
 
-def _polylines(t, line, top):
+def _polylines(t: list[float], line: list[float | None], top: float) -> list[str]:
     """Return the stretches of a line without gaps as SVG points."""
     stretches, points = [], []
     for x, y in zip(t, line):

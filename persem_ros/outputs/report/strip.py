@@ -1,13 +1,22 @@
 """The strip of frames: which are kept while the replay runs, and their panels on the page."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, TYPE_CHECKING
 
 import cv2
 import numpy as np
-
+from numpy.typing import NDArray
 from persem_ros.frames import UNKNOWN
 from persem_ros.outputs.report.colors import SOURCE_COLORS, VERDICT_COLORS
 from persem_ros.outputs.report.png import data_uri, indexed_png, jpeg
+
+if TYPE_CHECKING:
+    from persem_ros.frames import Frame
+    from persem_ros.rendering import Rendering
+    from persem_ros.settings.legend import Legend
 
 FRAMES = 12         # on the page
 WIDTH = 640         # pixels of a panel, at most
@@ -53,12 +62,12 @@ class Strip:
 
     """
 
-    def __init__(self, expected, frames=FRAMES):
+    def __init__(self, expected: int, frames: int = FRAMES) -> None:
         self.frames = frames
         self._samples, self._seen = [], 0
         self._step = max(1, int(expected) // (2 * frames))
 
-    def offer(self, make):
+    def offer(self, make: Callable[..., Any]) -> None:
         """Count a frame; keep the Sample that make(number) returns if it is one to be kept."""
         if self._seen % self._step == 0:
             self._samples.append(make(self._seen))
@@ -67,14 +76,15 @@ class Strip:
             self._samples = self._samples[::2]
             self._step *= 2
 
-    def chosen(self):
+    def chosen(self) -> list[int | Sample]:
         """Return at most as many Samples as fit on the page, first and last among them."""
         last = len(self._samples) - 1
         places = np.linspace(0, last, min(self.frames, last + 1)).round().astype(int)
         return [self._samples[place] for place in places]
 
 
-def sample(number, frame, rendering, method, fill, sources):
+def sample(number: int, frame: Frame, rendering: Rendering, method: str, fill: str,
+           sources: NDArray[np.uint8]) -> Sample:
     """
     Return the Sample of a rendered frame.
 
@@ -96,7 +106,7 @@ def sample(number, frame, rendering, method, fill, sources):
     """
     step = -(-rendering.labels.shape[1] // WIDTH)
 
-    def thin(image):
+    def thin(image: NDArray[Any]) -> NDArray[Any]:
         return image[step // 2::step, step // 2::step]
 
     images = {'input': rendering.labels, 'majority': rendering.images.get('majority'),
@@ -114,7 +124,9 @@ def sample(number, frame, rendering, method, fill, sources):
                   color)
 
 
-def panels(sample, legend, method):
+def panels(
+        sample: Sample, legend: Legend, method: str
+) -> list[dict[str, str | tuple[int, int] | None]]:
     """
     Return the panels of a Sample as the page shows them.
 
@@ -147,7 +159,7 @@ def panels(sample, legend, method):
     return result
 
 
-def verdict(sample):
+def verdict(sample: Sample) -> NDArray[np.uint8]:
     """Return (h, w) uint8: 1 where the change mended a label, 2 where it spoilt one, else 0."""
     before, after, truth = (sample.images[name] for name in ('input', 'refined', 'truth'))
     mended = sample.valid & (before != truth) & (after == truth)
@@ -155,13 +167,13 @@ def verdict(sample):
     return (mended + 2 * spoilt).astype(np.uint8)
 
 
-def _balance(sample):
+def _balance(sample: Sample) -> str:
     valid = max(1, np.count_nonzero(sample.valid))
     counts = np.bincount(verdict(sample).ravel(), minlength=3)
     return f'{100 * counts[1] / valid:.1f} % mended, {100 * counts[2] / valid:.1f} % spoilt'
 
 
-def _right(sample, name):
+def _right(sample: Sample, name: str) -> str:
     """Return how much of an image is right, as text; '' where that is not known."""
     if 'truth' not in sample.images or name == 'truth' or not sample.valid.any():
         return ''
@@ -169,12 +181,12 @@ def _right(sample, name):
     return f'{100 * right:.1f} % right'
 
 
-def _ids(labels):
+def _ids(labels: NDArray[np.int32]) -> NDArray[np.uint16]:
     """Return labels as uint16, UNKNOWN for those that are none."""
     return np.where((labels < 0) | (labels > UNKNOWN), UNKNOWN, labels).astype(np.uint16)
 
 
-def _label_png(labels, legend):
+def _label_png(labels: NDArray[np.uint16], legend: Legend) -> str:
     """Return a label image in the legend's colours as a data URI."""
     ids = np.flatnonzero(np.bincount(labels.ravel(), minlength=UNKNOWN + 1))
     if len(ids) > 256:      # more than a palette holds: the rest share its last colour
@@ -184,6 +196,6 @@ def _label_png(labels, legend):
     return data_uri('image/png', indexed_png(place[labels], legend.colors(ids)))
 
 
-def _overlay(index, colors):
+def _overlay(index: NDArray[np.uint8], colors: tuple[tuple[int, int, int], ...]) -> str:
     palette = np.array([(0, 0, 0), *colors], np.uint8)
     return data_uri('image/png', indexed_png(index, palette, clear=0))

@@ -1,15 +1,24 @@
 """The numbers of the page, made ready to be shown: plain lists and dicts of text and numbers."""
 
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
 import shlex
+from typing import Any, TYPE_CHECKING
 
 from persem_ros.settings import config_file
 from persem_ros.settings.config import Config, settings
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from persem_ros.settings.legend import Legend
 
 BETTER = {'pixel_accuracy': 1, 'miou': 1, 'flicker': -1}
 MEASURES = ('pixel_accuracy', 'miou', 'flicker')
 
 
-def headlines(result, method):
+def headlines(result: dict[str, Any], method: str) -> list[dict[str, float | str | None]]:
     """
     Return the three numbers at the top: raw2d, then the method, with what there is.
 
@@ -27,7 +36,7 @@ def headlines(result, method):
             for key, title in zip(MEASURES, ('pixel accuracy', 'mean IoU', 'flicker'))]
 
 
-def methods_table(rows):
+def methods_table(rows: dict[str, dict[str, dict[str, float] | float | None]]) -> list[Any]:
     """
     Return the table of methods.
 
@@ -52,7 +61,7 @@ def methods_table(rows):
         for key in MEASURES]} for name, row in rows.items()]
 
 
-def _best(rows, key):
+def _best(rows: dict[str, dict[str, dict[str, float] | float | None]], key: str) -> float | None:
     """Return the best value of a measure if there is something to compare."""
     values = [row[key] for row in rows.values() if row[key] is not None]
     if len(values) < 2:
@@ -60,11 +69,11 @@ def _best(rows, key):
     return (max if BETTER[key] > 0 else min)(values)
 
 
-def _gain(key, value, base):
+def _gain(key: str, value: float, base: float) -> float:
     return None if value is None or base is None else BETTER[key] * (value - base)
 
 
-def iou_rows(result, legend):
+def iou_rows(result: dict[str, Any], legend: Legend) -> list[dict[str, Any]]:
     """Return per class: id, name, color and {method: IoU in percent}, in the legend's order."""
     rows = result['methods']
     ids = sorted({int(c) for row in rows.values() for c in row.get('iou', {})},
@@ -73,7 +82,8 @@ def iou_rows(result, legend):
              'iou': {name: row['iou'].get(str(i)) for name, row in rows.items()}} for i in ids]
 
 
-def legend_rows(legend, voxels, shown=()):
+def legend_rows(
+        legend: Legend, voxels: dict[int, int], shown: Sequence[int] = ()) -> list[dict[str, Any]]:
     """
     Return the legend: classes that it knows, ids that the map has beside them, ignored ones.
 
@@ -101,12 +111,12 @@ def legend_rows(legend, voxels, shown=()):
     return rows
 
 
-def _legend_order(legend):
+def _legend_order(legend: Legend) -> Callable[..., Any]:
     places = {c: place for place, c in enumerate(legend.ids)}
     return lambda i: (places.get(i, len(places)), i)
 
 
-def changed_settings(config):
+def changed_settings(config: Config) -> list[dict[str, str]]:
     """Return name, value, default, unit and help of the settings that are not at the default."""
     defaults = {name: value for name, value, _ in settings(Config())}
     return [{'name': name, 'value': config_file.scalar(value), 'unit': meta['unit'],
@@ -116,7 +126,9 @@ def changed_settings(config):
             if name not in defaults or value != defaults[name]]
 
 
-def command(recording, folder, config, methods, causal):
+def command(
+        recording: Path, folder: Path, config: Config, methods: tuple[str, ...], causal: bool
+) -> str:
     """Return the command line that does this replay again."""
     words = ['persem', 'replay', str(recording), '--out', str(folder)]
     usual = ('raw2d', 'majority', config.refine.method)
@@ -131,7 +143,7 @@ def command(recording, folder, config, methods, causal):
     return shlex.join(words)
 
 
-def stages(timing):
+def stages(timing: dict[str, Any]) -> list[dict[str, float | str]]:
     """Return name, seconds, calls, milliseconds a call and share of the longest, in order."""
     longest = max((row['s'] for row in timing['stages'].values()), default=0) or 1.0
     return [{'name': name, 's': row['s'], 'calls': row['calls'],
@@ -139,7 +151,7 @@ def stages(timing):
             for name, row in timing['stages'].items()]
 
 
-def memory_rows(timing, voxels):
+def memory_rows(timing: dict[str, Any], voxels: int) -> list[dict[str, float | str]]:
     """Return what of the map takes how many bytes, the largest first, with bytes a voxel."""
     sizes = timing['memory']['map_bytes']
     largest = max(sizes.values(), default=0) or 1
@@ -148,7 +160,7 @@ def memory_rows(timing, voxels):
             for name, size in sorted(sizes.items(), key=lambda item: -item[1])]
 
 
-def bytes_text(size):
+def bytes_text(size: int) -> str:
     """Return a number of bytes for people: 41.3 MB."""
     for unit in ('B', 'kB', 'MB', 'GB'):
         if size < 1000 or unit == 'GB':

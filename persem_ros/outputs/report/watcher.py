@@ -1,30 +1,38 @@
 """The report as a watcher of a replay: keeps little while frames pass, writes at the end."""
 
+from __future__ import annotations
+
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
-
 from persem_ros.outputs.files import write_text
 from persem_ros.outputs.report import page
 from persem_ros.outputs.report.series import FlickerSeries
 from persem_ros.outputs.report.strip import panels, sample, Strip
 
+if TYPE_CHECKING:
+    from persem_ros.frames import Frame
+    from persem_ros.outputs.report.strip import Sample
+    from persem_ros.rendering import Rendering
+    from persem_ros.replay import Replay
+
 
 class ReportWatcher:
     """Writes report.html into the folder of a replay (persem_ros.replay.Replay)."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._flicker = FlickerSeries()
         self._strip = None
 
-    def frame(self, replay, frame, rendering):
+    def frame(self, replay: Replay, frame: Frame, rendering: Rendering) -> None:
         """Keep the frame's flicker, and of some frames what the page shows of them."""
         if self._strip is None:
             self._strip = Strip(replay.recording.expected)
         self._flicker.add(frame.stamp, replay.metrics.flicker_counts())
         offer(self._strip, replay, frame, rendering)
 
-    def finish(self, replay, result):
+    def finish(self, replay: Replay, result: dict[str, Any]) -> None:
         """Write report.html."""
         method = replay.config.refine.method
         samples = self._strip.chosen() if self._strip else []
@@ -38,9 +46,9 @@ class ReportWatcher:
         write_text(replay.folder / 'report.html', text)
 
 
-def offer(strip, replay, frame, rendering):
+def offer(strip: Strip, replay: Replay, frame: Frame, rendering: Rendering) -> None:
     """Count a rendered frame; keep a Sample of it if the strip wants it."""
-    def make(number):
+    def make(number: int) -> Sample:
         memory = replay.pipeline.memory
         sources = np.ascontiguousarray(memory.m.voxels['source'][:memory.n_voxels])
         return sample(number, frame, rendering, replay.config.refine.method,
