@@ -35,6 +35,7 @@ from persem_ros.settings.legend import Legend, load_legend
 if TYPE_CHECKING:
     from persem_ros.evaluate.work.task import Task
     from persem_ros.frames import Frame
+    from persem_ros.inputs.recording.recording import Recording
     from persem_ros.settings.config import Memory
 
 BLOCKS = 30         # stretches of frames that intervals are made of

@@ -16,7 +16,7 @@ from persem_ros.outputs.report import cloud3d, colors, maps, series, tables
 from persem_ros.outputs.report.png import data_uri, png
 
 if TYPE_CHECKING:
-    from persem_ros.core.memory.voxel_memory import FrameRecord
+    from persem_ros.core.memory.frame_table import FrameTable
     from persem_ros.inputs.recording.recording import Recording
     from persem_ros.replay import Replay
     from persem_ros.settings.legend import Legend
@@ -139,5 +139,5 @@ def _topics(recording: Recording) -> list[tuple[str, str, str, str]]:
             for camera, kinds in recording.topics.items() for kind, info in kinds.items()]
 
 
-def _seconds(frames: Any) -> float:
+def _seconds(frames: FrameTable) -> float:
     return float(frames.stamp.max() - frames.stamp.min()) / 1e9 if len(frames) else 0.0
