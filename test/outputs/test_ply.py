@@ -10,7 +10,7 @@ from persem_ros.outputs.map.ply import map_comments, write_ply
 from persem_ros.settings.legend import Legend, load_legend
 import pytest
 
-KINDS = {'float': '<f4', 'uchar': 'u1', 'ushort': '<u2', 'uint': '<u4'}
+KINDS = {'float': '<f4', 'uchar': 'u1', 'int': '<i4'}
 
 
 def columns(n=50):
@@ -63,11 +63,13 @@ def test_ply_holds_the_points(tmp_path):
     assert lines[-12:] == [
         f'element vertex {len(points)}', 'property float x', 'property float y',
         'property float z', 'property uchar red', 'property uchar green', 'property uchar blue',
-        'property ushort label', 'property ushort majority', 'property float confidence',
-        'property uint observations', 'property uchar source']
+        'property int label', 'property int majority', 'property float confidence',
+        'property int observations', 'property uchar source']
     assert len(vertices) == len(points)
-    for name in ('x', 'y', 'z', 'label', 'majority', 'confidence', 'observations', 'source'):
+    for name in ('x', 'y', 'z', 'label', 'majority', 'confidence', 'source'):
         assert (vertices[name] == points[name]).all()
+    most = np.iinfo(np.int32).max       # a voxel seen more often than that counts as seen so often
+    assert (vertices['observations'] == np.minimum(points['observations'], most)).all()
     rgb = np.stack([vertices[c] for c in ('red', 'green', 'blue')], axis=1)
     assert (rgb == colors_of(points)).all()
 

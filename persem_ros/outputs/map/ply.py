@@ -7,8 +7,9 @@ from persem_ros.outputs.map.cloud import colors_of, COPIED
 PROPERTIES = (
     ('x', 'float', '<f4'), ('y', 'float', '<f4'), ('z', 'float', '<f4'),
     ('red', 'uchar', 'u1'), ('green', 'uchar', 'u1'), ('blue', 'uchar', 'u1'),
-    ('label', 'ushort', '<u2'), ('majority', 'ushort', '<u2'), ('confidence', 'float', '<f4'),
-    ('observations', 'uint', '<u4'), ('source', 'uchar', 'u1'))
+    # int: Open3D's tensor reader skips ushort and uint with no more than a warning.
+    ('label', 'int', '<i4'), ('majority', 'int', '<i4'), ('confidence', 'float', '<f4'),
+    ('observations', 'int', '<i4'), ('source', 'uchar', 'u1'))
 VERTEX = np.dtype([(name, code) for name, _, code in PROPERTIES])
 
 
@@ -34,6 +35,7 @@ def write_ply(path, points, comments=()):
     vertices = np.empty(len(points), VERTEX)
     for name in ('x', 'y', 'z', *COPIED):
         vertices[name] = points[name]
+    vertices['observations'] = np.minimum(points['observations'], np.iinfo(np.int32).max)
     vertices['red'], vertices['green'], vertices['blue'] = colors_of(points).T
     lines = ['ply', 'format binary_little_endian 1.0',
              *(f'comment {" ".join(text.split())}' for text in comments),
