@@ -125,6 +125,9 @@ def sweep(recordings: list[Path | str], out: Path | str, config: Config,
                for place, task in tasks.items()}
     found = run.compute({folders[place]: task for place, task in tasks.items()}, workers,
                         scheduler, frames * len(points))
+    for k, values in enumerate(points):
+        at = ', '.join(f'{name}={_plain(value)}' for name, value in values.items())
+        run.warn({f'{name} at {at}': found[folders[k, name]] for name in paths})
     result = {
         'axes': {name: [_plain(v) for v in values] for name, values in axes.items()},
         'methods': list(methods), 'taxonomy': next(iter(found.values()))[0]['taxonomy'],

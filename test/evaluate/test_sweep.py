@@ -79,3 +79,12 @@ def test_refusals(items, said):
 def test_lists_are_values_too():
     axes = parse_vary(['memory.ignore_labels=[255],[0, 255]'], Config())
     assert axes == {'memory.ignore_labels': [(255,), (0, 255)]}
+
+
+def test_voxels_that_do_not_suit_are_said_of_their_point(tmp_path, recording, caplog):
+    axes = parse_vary(['memory.voxel_size=0.25,50'], Config())
+    sweep([recording], tmp_path, Config(), axes, methods=('majority',), workers=1, figures=False)
+    said = [r.getMessage() for r in caplog.records if 'a voxel of' in r.getMessage()]
+    assert len(said) == 1
+    assert said[0].startswith('wall at memory.voxel_size=50.0: a voxel of 50 m spans about')
+    assert '--set memory.voxel_size=' in said[0]

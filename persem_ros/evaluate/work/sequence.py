@@ -29,6 +29,7 @@ from persem_ros.outputs.results import rundir
 from persem_ros.outputs.results.peak import PeakMemory
 from persem_ros.pipeline import Pipeline
 from persem_ros.preflight.look import opened
+from persem_ros.preflight.voxel_fit import VoxelFit
 from persem_ros.settings.config import IMAGE_METHODS, METHODS
 from persem_ros.settings.legend import Legend, load_legend
 
@@ -90,6 +91,7 @@ class Sequence:
         self.methods = (*self.images, *(m for m in task.methods if m in METHODS))
         self.taxonomy = taxonomy(task.labels, task.grouped, task.dynamic, _legend(recording, task))
         self.classes = Classes(self.taxonomy.table)
+        self.fit = VoxelFit(task.config.memory)
         self.frames = 0
 
     def integrate(self) -> None:
@@ -103,6 +105,7 @@ class Sequence:
                     self.pipeline.memory.add(observations)
                 else:
                     waiting.append(observations)
+            self.fit.frame(frame)
             self.frames += 1
         if order == 'reversed':
             waiting.reverse()
@@ -185,7 +188,8 @@ class Sequence:
             'classes': [{'id': int(i), 'name': self.taxonomy.legend.name(i),
                          'color': list(self.taxonomy.legend.color(i))}
                         for i in ids[1:]],
-            'legend': self.taxonomy.legend.to_yaml(), 'notes': list(self.recording.notes),
+            'legend': self.taxonomy.legend.to_yaml(),
+            'notes': [*self.recording.notes, *self.fit.sentences(memory)],
             'runtime': {
                 'history_s': seconds['history'],
                 'refinement_s': {m: seconds[f'label {m}'] + seconds['snapshot']
