@@ -55,7 +55,7 @@ class WriteBehind:
     """
 
     def __init__(self, depth: int = 2) -> None:
-        self._calls = queue.Queue(depth)
+        self._calls: queue.Queue[Any] = queue.Queue(depth)
         self._error = None
         self._thread = threading.Thread(target=self._work, name='write behind', daemon=True)
 
@@ -94,7 +94,7 @@ class WriteBehind:
                     self._error = error
 
 
-def _put(ready: queue.Queue, item: tuple[Any, None], stopped: threading.Event) -> bool:
+def _put(ready: queue.Queue[Any], item: tuple[Any, None], stopped: threading.Event) -> bool:
     """Put an item into a bounded queue; False when the consumer has gone."""
     while not stopped.is_set():
         try:

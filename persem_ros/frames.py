@@ -104,6 +104,6 @@ class Frame:
     sensor: str = ''
     frame_id: str = ''
     encoding: str = 'mono16'
-    truth: np.ndarray = None
-    color: np.ndarray = None
-    T_body_camera: np.ndarray = None
+    truth: np.ndarray | None = None
+    color: np.ndarray | None = None
+    T_body_camera: np.ndarray | None = None

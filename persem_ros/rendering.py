@@ -42,7 +42,7 @@ class Rendering:
 
     """
 
-    images: dict
+    images: dict[Any, Any]
     voxels: np.ndarray
     labels: np.ndarray
     truth: np.ndarray
@@ -65,10 +65,10 @@ class Renderer:
 
     def __init__(self, pipeline: Pipeline, methods: tuple[str, ...]) -> None:
         self.pipeline, self.methods = pipeline, tuple(methods)
-        self._labels = {}       # method -> labels of its own, by voxel number
-        self._gathered = {}     # method -> labels of all voxels of today
+        self._labels: dict[Any, Any] = {}       # method -> labels of its own, by voxel number
+        self._gathered: dict[Any, Any] = {}     # method -> labels of all voxels of today
         self._gathered_at = None
-        self._smoothers = {}
+        self._smoothers: dict[Any, Any] = {}
 
     def relabel(self) -> None:
         """Label the map anew by every method that needs it; call it after each refinement."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +37,7 @@ class Intrinsics:
     K: np.ndarray
     D: np.ndarray = ()
     model: str = 'plumb_bob'
-    size: tuple = None
+    size: tuple[Any, ...] | None = None
 
 
 def read_intrinsics(source: Path | str) -> Intrinsics:

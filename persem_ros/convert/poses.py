@@ -5,7 +5,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from dataclasses import dataclass, field
 import logging
-from typing import TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,10 +41,10 @@ class Poses:
 
     """
 
-    by_key: dict = field(default_factory=dict)
-    stamps: list = field(default_factory=list)
-    matrices: list = field(default_factory=list)
-    lost: list = field(default_factory=list)
+    by_key: dict[Any, Any] = field(default_factory=dict)
+    stamps: list[Any] = field(default_factory=list)
+    matrices: list[Any] = field(default_factory=list)
+    lost: list[Any] = field(default_factory=list)
 
     def add(self, key: str, T: NDArray[np.float64]) -> None:
         """Take the pose of a frame, None for a lost one."""
@@ -168,7 +168,7 @@ def poses_from_trajectory(path: Path, keys: list[str], stamped: bool) -> Poses |
 def _stamped(path: Path, tags: list[str], matrices: list[NDArray[np.float64]]) -> Poses:
     """Return the Poses of a trajectory with stamps; the first of two equal stamps counts."""
     poses = Poses()
-    order = {}
+    order: dict[Any, Any] = {}
     for tag, T in zip(tags, matrices, strict=True):
         stamp = seconds_to_ns(tag, str(path))
         if T is None:

@@ -49,10 +49,10 @@ class SceneWriter:
 
     def __init__(self, out: RecordingWriter, legend: Legend | None = None,
                  trajectory: Iterator[Any] = ()) -> None:
-        self.counts = Counter()
+        self.counts: Counter[Any] = Counter()
         self.depth_size = None
         self._out, self._topics = out, Topics()
-        self._stamps = []
+        self._stamps: list[Any] = []
         self._range, self._kept = (np.inf, -np.inf), []
         self._trajectory = iter(trajectory)
         self._next = next(self._trajectory, None)

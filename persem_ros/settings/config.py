@@ -57,8 +57,8 @@ class Memory:
     max_depth: float = setting(200.0, 'farther measurements are ignored', 'm', 0.0, 1e5)
     stride: int = setting(1, 'integrate every n-th pixel of every n-th row', 'pixels', 1, 64)
     min_pixels: int = setting(1, 'pixels that make an observation of a voxel', 'pixels', 1, 10000)
-    ignore_labels: tuple = setting((255, 65535), 'ids that are not observations')
-    dynamic_labels: tuple = setting(
+    ignore_labels: tuple[Any, ...] = setting((255, 65535), 'ids that are not observations')
+    dynamic_labels: tuple[Any, ...] = setting(
         (-1,), 'ids of things that move: never integrated, passed through unchanged; -1: none')
     max_history: int = setting(
         0, 'newest observations that a refinement reads per voxel; 0: all', 'observations', 0,
@@ -136,7 +136,7 @@ class Pose:
         '', 'frame that the poses place in the map; empty: as the messages say', live=False)
     max_gap: float = setting(0.5, 'widest gap between two poses that is interpolated', 's',
                              0.0, 3600.0)
-    extrinsic: tuple = setting(
+    extrinsic: tuple[Any, ...] = setting(
         (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
         'camera in the child frame of the pose: x y z qx qy qz qw; all 0: from /tf_static',
         live=False)
@@ -218,7 +218,7 @@ class Map:
     on_time_jump: str = setting(
         'keep', 'what becomes of the map when time goes back, as in a recording that loops (node)',
         choices=('keep', 'reset'))
-    origin: tuple = setting(
+    origin: tuple[Any, ...] = setting(
         (0.0, 0.0, 0.0),
         'point of the map frame that is subtracted from all positions (UTM coordinates)', 'm',
         live=False)
@@ -260,7 +260,7 @@ class Config:
     map: Map = Map()    # noqa: A003
     ema: Ema = Ema()
     labels: Labels = Labels()
-    cameras: tuple = setting(
+    cameras: tuple[Any, ...] = setting(
         ('',), 'names of several cameras; each has cameras.<name>.topics.*; empty: one camera',
         live=False)
     camera_topics: tuple = ()   # ((name, Topics), ...), filled from cameras.<name>.topics.*

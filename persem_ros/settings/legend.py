@@ -49,7 +49,7 @@ class LegendClass:
 
     id: int         # noqa: A003 - the word of the file format
     name: str
-    color: tuple
+    color: tuple[Any, ...]
     group: str = ''
     ignored: bool = False
     dynamic: bool = False
@@ -66,9 +66,9 @@ class Legend:
     """
 
     title: str = ''
-    classes: tuple = ()
-    _warned: list = field(default_factory=list, repr=False)
-    unlabelled: tuple = ()
+    classes: tuple[Any, ...] = ()
+    _warned: list[Any] = field(default_factory=list, repr=False)
+    unlabelled: tuple[Any, ...] = ()
 
     def __eq__(self, other: Legend) -> bool:
         """Legends are equal when their classes are, whatever they are called."""
@@ -96,7 +96,7 @@ class Legend:
             raise PersemError(f"{source}: expected a mapping with a list 'classes' of "
                               '{id, name, color, group, ignored, dynamic}')
         classes = tuple(_class(row, f'{source}: classes[{i}]') for i, row in enumerate(rows))
-        seen = {}
+        seen: dict[Any, Any] = {}
         for item in classes:
             if item.id in seen:
                 raise PersemError(f'{source}: id {item.id} is given twice, to {seen[item.id]!r} '
@@ -143,7 +143,7 @@ class Legend:
 
     def groups(self) -> dict[str, tuple[int, ...]]:
         """Return {group: tuple of ids}, ignored ids left out, in the order of the legend."""
-        result = {}
+        result: dict[Any, Any] = {}
         for item in self.classes:
             if not item.ignored:
                 result[item.group] = result.get(item.group, ()) + (item.id,)

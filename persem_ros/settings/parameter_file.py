@@ -126,7 +126,7 @@ def _is_ours(name: str) -> bool:
 
 def _flat(node: Any, prefix: str, file: Path) -> dict[str, Any]:
     """Return {dotted name: (value, line)} of a mapping node."""
-    entries = {}
+    entries: dict[Any, Any] = {}
     for key, value in node.value:
         name, line = f'{prefix}{key.value}', key.start_mark.line + 1
         if isinstance(value, yaml.MappingNode):

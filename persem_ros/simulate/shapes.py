@@ -31,11 +31,11 @@ class Solid:
 
     """
 
-    vertices: list = field(default_factory=list)
-    faces: list = field(default_factory=list)
-    material: list = field(default_factory=list)
-    tint: list = field(default_factory=list)
-    base: list = field(default_factory=list)
+    vertices: list[Any] = field(default_factory=list)
+    faces: list[Any] = field(default_factory=list)
+    material: list[Any] = field(default_factory=list)
+    tint: list[Any] = field(default_factory=list)
+    base: list[Any] = field(default_factory=list)
     count: int = 0
 
     def add(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ class Mover:
     y1: float
     speed: float
     start: float
-    tint: tuple
+    tint: tuple[Any, ...]
     truck: bool
 
     def at(self, time: float) -> tuple[float, float, float]:
@@ -60,8 +60,8 @@ class Fleet:
 
     """
 
-    movers: tuple
-    arrays: tuple
+    movers: tuple[Any, ...]
+    arrays: tuple[Any, ...]
     owner: np.ndarray
 
     def at(self, time: float) -> NDArray[np.float64]:

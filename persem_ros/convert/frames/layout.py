@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 import logging
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 from persem_ros.convert.files import canonical, files_of, some
 from persem_ros.convert.intrinsics import is_numbers
@@ -72,7 +72,7 @@ class FramesOptions:
     truth: str = ''
     intrinsics: str = ''
     depth_unit: str = ''
-    depth_invalid: tuple = (0, 65535)
+    depth_invalid: tuple[Any, ...] = (0, 65535)
     stamps: str = 'auto'
     rate: float = 30.0
     start: float = 1.0
@@ -108,7 +108,7 @@ class Item:
     labels: Path
     depth: Path
     depth_stamp: int
-    extra: dict = field(default_factory=dict)
+    extra: dict[Any, Any] = field(default_factory=dict)
 
 
 def find_frames(folder: Path, options: FramesOptions) -> tuple[list[Item], Poses] | None:

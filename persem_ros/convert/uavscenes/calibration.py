@@ -38,7 +38,7 @@ class Calibration:
     """
 
     T_camera_lidar: np.ndarray
-    K: np.ndarray = None
+    K: np.ndarray | None = None
     D: np.ndarray = ()
 
 

@@ -67,11 +67,11 @@ class UavscenesOptions:
 
     """
 
-    interval: int = None
+    interval: int | None = None
     predictions: str = ''
     depth: str = ''
     depth_unit: str = ''
-    depth_invalid: tuple = (0, 65535)
+    depth_invalid: tuple[Any, ...] = (0, 65535)
     lidar: int = 0
     calibration: str = ''
     camera: str = 'sampleinfos'

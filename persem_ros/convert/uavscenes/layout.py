@@ -7,6 +7,7 @@ from glob import escape
 import json
 from pathlib import Path
 import re
+from typing import Any
 
 import numpy as np
 from persem_ros.convert.files import files_of, read_text
@@ -26,7 +27,7 @@ class Sample:
     T_map_camera: np.ndarray
     K: np.ndarray
     D: np.ndarray
-    size: tuple
+    size: tuple[Any, ...]
 
 
 @dataclass
@@ -53,11 +54,11 @@ class Run:
 
     name: str
     interval: int
-    truth: dict = field(default_factory=dict)
-    color: dict = field(default_factory=dict)
-    lidar: Path = None
-    samples: dict = field(default_factory=dict)
-    lost: list = field(default_factory=list)
+    truth: dict[Any, Any] = field(default_factory=dict)
+    color: dict[Any, Any] = field(default_factory=dict)
+    lidar: Path | None = None
+    samples: dict[Any, Any] = field(default_factory=dict)
+    lost: list[Any] = field(default_factory=list)
 
 
 def find_run(root: Path, name: str, interval: int | None = None) -> Run | None:

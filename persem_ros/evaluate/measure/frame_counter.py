@@ -43,7 +43,7 @@ class Counter:
         self.counts = Counts(len(methods), images)
         self.rows = np.zeros((len(kinds.codes), self.counts.size), np.int64)
         self.has_truth = False
-        self._before = {}       # sensor -> what the frame before left
+        self._before: dict[Any, Any] = {}       # sensor -> what the frame before left
         self._shown = np.zeros((2, len(methods) + 1), np.int64)
 
     def frame(self, labels: NDArray[np.int32], depth: NDArray[np.float64],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 from persem_ros.settings.legend import Legend, load_legend
 
@@ -23,7 +24,7 @@ class Taxonomy:
     """
 
     name: str
-    table: dict
+    table: dict[Any, Any]
     legend: Legend
 
 

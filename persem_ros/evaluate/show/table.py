@@ -27,8 +27,8 @@ class Cell:
     """A number with an interval; best: to be set in bold."""
 
     value: object = None        # a number, text, or None: unknown
-    low: float = None
-    high: float = None
+    low: float | None = None
+    high: float | None = None
     best: bool = False
 
 
@@ -55,11 +55,11 @@ class Table:
 
     key: str
     title: str
-    head: tuple
-    columns: tuple
-    rows: list
-    notes: tuple = ()
-    rules: tuple = field(default=())
+    head: tuple[Any, ...]
+    columns: tuple[Any, ...]
+    rows: list[Any]
+    notes: tuple[Any, ...] = ()
+    rules: tuple[Any, ...] = field(default=())
 
 
 def marked(table: Table, floor: str = '(truth)') -> Table:

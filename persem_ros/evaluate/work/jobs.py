@@ -53,7 +53,7 @@ def results(
 
     """
     frames = list(frames or [1] * len(tasks))
-    failed = []
+    failed: list[Any] = []
     with _bar(frames) as bar:
         if scheduler:
             found = _on_cluster(tasks, scheduler, frames, bar)

@@ -1,6 +1,9 @@
 """The noun task: all that the result of one sequence depends on."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
+from typing import Any
 
 from persem_ros.evaluate.work.stream import Disturbance
 from persem_ros.settings.config import Config, IMAGE_METHODS, METHODS
@@ -34,7 +37,7 @@ class Task:
 
     recording: str
     config: Config = field(default_factory=Config)
-    methods: tuple = ALL_METHODS
+    methods: tuple[Any, ...] = ALL_METHODS
     labels: str = ''
     grouped: bool = False
     dynamic: bool = True

@@ -48,7 +48,7 @@ class Sample:
     number: int
     stamp: int
     sensor: str
-    images: dict
+    images: dict[Any, Any]
     source: np.ndarray
     valid: np.ndarray
     color: np.ndarray

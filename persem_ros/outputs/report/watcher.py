@@ -35,7 +35,7 @@ class ReportWatcher:
     def finish(self, replay: Replay, result: dict[str, Any]) -> None:
         """Write report.html."""
         method = replay.config.refine.method
-        samples = self._strip.chosen() if self._strip else []
+        samples: list[Any] = self._strip.chosen() if self._strip else []
         with ThreadPoolExecutor(2) as pool:     # zlib and OpenCV let go of the interpreter
             shown = list(pool.map(lambda s: panels(s, replay.legend, method), samples))
         frames = [{'number': s.number, 'seconds': (s.stamp - samples[0].stamp) / 1e9,
