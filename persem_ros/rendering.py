@@ -70,6 +70,10 @@ class Renderer:
         self._gathered_at = None
         self._smoothers: dict[Any, Any] = {}
 
+    def restart(self) -> None:
+        """Smooth no image with one of another recording."""
+        self._smoothers.clear()
+
     def relabel(self) -> None:
         """Label the map anew by every method that needs it; call it after each refinement."""
         config = self.pipeline.config

@@ -1,7 +1,9 @@
 """A recording becomes a refined map, refined images and metrics: `persem replay`."""
 
+from collections.abc import Sequence
 import functools
 import logging
+from pathlib import Path
 
 import numpy as np
 from persem_ros.ahead import read_ahead, WriteBehind
@@ -9,6 +11,10 @@ from persem_ros.core.jit import Announcement
 from persem_ros.core.refine.regions import regions
 from persem_ros.core.warmup import warm_up
 from persem_ros.errors import PersemError
+from persem_ros.inputs.recording import finding
+from persem_ros.inputs.recording.excerpt import Excerpt, WHOLE
+from persem_ros.inputs.recording.recording import Recording
+from persem_ros.inputs.recording.sessions import Sessions
 from persem_ros.outputs.files import write_json, write_text
 from persem_ros.outputs.map import store
 from persem_ros.outputs.map.cloud import map_points
@@ -24,7 +30,7 @@ from persem_ros.preflight.emptiness import Emptiness
 from persem_ros.preflight.look import opened
 from persem_ros.rendering import Renderer
 from persem_ros.settings import config_file
-from persem_ros.settings.config import IMAGE_METHODS, METHODS, nearest
+from persem_ros.settings.config import Config, IMAGE_METHODS, METHODS, nearest
 from persem_ros.settings.legend import Legend, load_legend
 
 log = logging.getLogger(__name__)
@@ -32,11 +38,11 @@ log = logging.getLogger(__name__)
 
 class Replay:
     """
-    One replay of one recording into one folder.
+    One replay of one or more recordings into one folder.
 
     Parameters
     ----------
-    recording : persem_ros.inputs.recording.recording.Recording
+    recording : persem_ros.inputs.recording.sessions.Sessions
     folder : Path
         Where the results go; ready (outputs.results.rundir.prepare).
     config : persem_ros.settings.config.Config
@@ -60,13 +66,15 @@ class Replay:
         self.renderer = Renderer(self.pipeline, self.methods)
         self.metrics = Metrics(self.methods)
         self.frames, self.causal = 0, False
+        self._session = self._measured = 0
         self._before = self.pipeline.memory.n_observations     # of a map that goes on
         self._emptiness = Emptiness(config.memory)
 
     def run(self):
         """Build the map, refine it, render every frame from it; return metrics.json's content."""
         with self._read('integrating') as frames:
-            for frame in frames:
+            for session, frame in frames:
+                self._begin(session)
                 self._integrate(frame)
         self._check_map()
         self._refine()
@@ -76,7 +84,8 @@ class Replay:
                           np.uint8(0))
         with self._refined() as refined, WriteBehind() as later:
             with self._read('rendering', truth=True, color=bool(self.watchers)) as frames:
-                for frame in frames:
+                for session, frame in frames:
+                    self._begin_measuring(session)
                     rendering = self._render(frame)
                     self._measure(frame, rendering, codes)
                     later(refined.frame, frame, rendering.published)
@@ -89,7 +98,11 @@ class Replay:
         refined_at = None
         with self._refined() as refined, WriteBehind() as later:
             with self._read('mapping', truth=True, color=bool(self.watchers)) as frames:
-                for frame in frames:
+                for session, frame in frames:
+                    if session != self._session:
+                        refined_at = None
+                    self._begin(session)
+                    self._begin_measuring(session)
                     observations = self._integrate(frame)
                     refined_at = frame.stamp if refined_at is None else refined_at
                     if frame.stamp - refined_at >= period:
@@ -119,6 +132,19 @@ class Replay:
         frames = read_ahead(self.watch.iterate('read', self.recording.frames(**wanted)))
         return progress(frames, what, self.recording.expected)
 
+    def _begin(self, session: int) -> None:
+        """Begin a session of the map where the next recording begins."""
+        if session != self._session:
+            self._session = session
+            self.pipeline.memory.new_session()
+
+    def _begin_measuring(self, session: int) -> None:
+        """Compare no frame with one of another recording."""
+        if session != self._measured:
+            self._measured = session
+            self.metrics.restart()
+            self.renderer.restart()
+
     def _integrate(self, frame):
         """Add a frame to the map; return its observations."""
         with self.watch('integrate'):
@@ -133,7 +159,7 @@ class Replay:
         """Refuse a recording of which nothing went into the map; log what its voxels are like."""
         memory = self.pipeline.memory
         if memory.n_observations == self._before:
-            raise PersemError(f'{self.recording.path}: nothing went into the map, '
+            raise PersemError(f'{self.recording.name}: nothing went into the map, '
                               f'{self._emptiness.sentence()}')
         for note in self.advice.about_voxels(memory):
             log.warning(note)
@@ -190,14 +216,15 @@ class Replay:
         return result
 
 
-def replay(path, out, config, methods=None, causal=False, force=False, watchers=(), report=True):
+def replay(path, out, config, methods=None, causal=False, force=False, watchers=(), report=True,
+           excerpt=WHOLE):
     """
     Replay a recording into a folder (spec section 8).
 
     Parameters
     ----------
-    path : str or Path
-        A rosbag2 recording.
+    path : str, Path or sequence of these
+        A rosbag2 recording, or several in a row: each is a session of one map.
     out : str or Path
         The folder of the results.
     config : persem_ros.settings.config.Config
@@ -213,6 +240,8 @@ def replay(path, out, config, methods=None, causal=False, force=False, watchers=
         See Replay; the report is one more.
     report : bool
         Write report.html.
+    excerpt : persem_ros.inputs.recording.excerpt.Excerpt
+        Which frames of each recording are used.
 
     Returns
     -------
@@ -226,14 +255,31 @@ def replay(path, out, config, methods=None, causal=False, force=False, watchers=
 
     """
     methods = chosen_methods(methods, config)
-    with opened(path, config) as recording:
-        config = recording.config       # with what the look before took over
+    paths = [path] if isinstance(path, (str, Path)) else list(path)
+    with Sessions(opened_all(paths, config, excerpt)) as recording:
+        config = recording.recordings[-1].config    # with what the looks before took over
         memory = start_map(config)
-        folder = rundir.prepare(out, force, keep=(path, config.map.path))
+        inputs = [part for given in paths for part in finding.split(given)]
+        folder = rundir.prepare(out, force, keep=(*inputs, config.map.path))
         compile_kernels()
         watchers = [*watchers, *([ReportWatcher()] if report else [])]
         job = Replay(recording, folder, config, methods, watchers, memory)
         return job.run_causal() if causal else job.run()
+
+
+def opened_all(paths: Sequence[str | Path], config: Config,
+               excerpt: Excerpt = WHOLE) -> list[Recording]:
+    """Return the open recordings of some inputs; what is decided for one holds for the next."""
+    recordings: list[Recording] = []
+    try:
+        for path in paths:
+            recordings.append(opened(path, config, excerpt=excerpt))
+            config = recordings[-1].config
+    except BaseException:
+        for recording in recordings:
+            recording.close()
+        raise
+    return recordings
 
 
 @functools.cache
@@ -262,9 +308,22 @@ def chosen_legend(config, recording):
         legend = load_legend(config.labels.legend)
     elif recording.legend_text:
         legend = Legend.from_yaml(recording.legend_text, "the recording's legend")
+        _check_legends(recording, legend)
     else:
         legend = Legend()
     return legend.ignoring(config.memory.ignore_labels)
+
+
+def _check_legends(recording: Sessions, legend: Legend) -> None:
+    """Refuse sessions in which one id has two names."""
+    for other in recording.recordings:
+        found = Legend.from_yaml(other.legend_text, "the recording's legend") \
+            if other.legend_text else Legend()
+        for i in sorted(set(found.ids) & set(legend.ids)):
+            if found.name(i) != legend.name(i):
+                raise PersemError(f'{other.path}: its legend calls id {i} {found.name(i)!r}, that '
+                                  f'of the recording before {legend.name(i)!r}; --set '
+                                  'labels.legend=FILE gives one legend for all')
 
 
 def start_map(config):

@@ -1,6 +1,6 @@
 """persem evaluate: from recordings with truth to tables, figures and intervals."""
 
-from persem_ros.commands import add_settings
+from persem_ros.commands import add_excerpt, add_settings
 
 
 def add_parser(subparsers):
@@ -12,7 +12,8 @@ def add_parser(subparsers):
                     'difficult regions too, with intervals. What is finished is not computed '
                     'again.',
         epilog='example: persem evaluate flight1 flight2 --out result --labels town')
-    parser.add_argument('bags', metavar='BAG', nargs='+', help='rosbag2 recordings')
+    parser.add_argument('bags', metavar='BAG', nargs='+',
+                        help='rosbag2 recordings; A+B is one input in two of them')
     parser.add_argument('--out', metavar='DIR', help='folder of the results (default: only the '
                                                      'tables, on standard output)')
     parser.add_argument('--methods', metavar='A,B', default='all',
@@ -40,6 +41,7 @@ def add_evaluation(parser):
                         help='processes side by side (default: one per core)')
     parser.add_argument('--scheduler', metavar='ADDRESS', default='',
                         help='let a dask cluster do the work, for example tcp://host:8786')
+    add_excerpt(parser)
     parser.add_argument('--force', action='store_true',
                         help='give up results of other settings in DIR')
 
@@ -56,6 +58,7 @@ def run(args):
     from contextlib import nullcontext
     from tempfile import TemporaryDirectory
 
+    from persem_ros.commands import excerpt_of
     from persem_ros.settings import config_file
     from persem_ros.evaluate.run import evaluate
     from persem_ros.evaluate.show.table import console
@@ -65,7 +68,7 @@ def run(args):
         evaluation = evaluate(
             args.bags, out, config, methods_of(args.methods), args.labels, args.grouped,
             not args.no_dynamic, args.predictions, args.workers, args.scheduler, args.force,
-            bool(args.out) and not args.no_figures)
+            bool(args.out) and not args.no_figures, excerpt_of(args))
     print('\n\n'.join(map(console, tables(evaluation))))
     if args.out:
         print(f'\nresults in {args.out}')

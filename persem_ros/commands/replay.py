@@ -1,6 +1,6 @@
 """persem replay: from a recording to a refined map, refined images and metrics."""
 
-from persem_ros.commands import add_settings
+from persem_ros.commands import add_excerpt, add_settings
 from persem_ros.settings.config import IMAGE_METHODS, METHODS
 
 
@@ -12,7 +12,10 @@ def add_parser(subparsers):
                     'refines the map, renders every frame from it and measures accuracy and '
                     'flicker.',
         epilog='example: persem replay flight --out result --set memory.voxel_size=0.25')
-    parser.add_argument('bag', metavar='BAG', help='a rosbag2 recording: folder, .mcap or .db3')
+    parser.add_argument('bags', metavar='BAG', nargs='+',
+                        help='a rosbag2 recording: folder, .mcap or .db3; A+B is one input in '
+                             'two recordings (drive and labels), A B are sessions of one map in '
+                             'that order')
     parser.add_argument('--out', metavar='DIR', required=True, help='folder of the results')
     parser.add_argument('--methods', metavar='A,B',
                         help=f'methods to be measured, or all: {", ".join(IMAGE_METHODS)} (images '
@@ -27,6 +30,7 @@ def add_parser(subparsers):
                              "(pip install 'persem_ros[viewer]')")
     parser.add_argument('--figure', metavar='FILE.png',
                         help='write a picture of one frame and the map as well')
+    add_excerpt(parser)
     add_settings(parser)
     parser.set_defaults(run=run)
 
@@ -35,6 +39,7 @@ def run(args):
     """Replay the recording; print the table of results."""
     from contextlib import ExitStack
     from pathlib import Path
+    from persem_ros.commands import excerpt_of
     from persem_ros.settings import config_file
     from persem_ros.replay import replay
     config = config_file.from_args(args.config, args.set_items)
@@ -48,7 +53,8 @@ def run(args):
         if args.figure:
             from persem_ros.outputs.report.figure import FigureWatcher
             watchers.append(FigureWatcher(args.figure))
-        result = replay(args.bag, args.out, config, methods, args.causal, args.force, watchers)
+        result = replay(args.bags, args.out, config, methods, args.causal, args.force, watchers,
+                        excerpt=excerpt_of(args))
     print(summary(result, truth.missing))
     print(f'\nresults in {args.out}, to be looked at: {Path(args.out) / "report.html"}')
 

@@ -14,7 +14,8 @@ def add_parser(subparsers):
                     'disturb.pose_drift (m after 100 frames), disturb.depth_noise (share of the '
                     'depth), disturb.order (recorded, reversed, shuffled) and disturb.seed.',
         epilog='example: persem sweep flight --out result --vary refine.eta=0,0.15,0.3,0.6')
-    parser.add_argument('bags', metavar='BAG', nargs='+', help='rosbag2 recordings')
+    parser.add_argument('bags', metavar='BAG', nargs='+',
+                        help='rosbag2 recordings; A+B is one input in two of them')
     parser.add_argument('--vary', metavar='NAME=A,B,C', action='append', required=True,
                         help='a setting and its values; may be given again')
     parser.add_argument('--out', metavar='DIR', required=True, help='folder of the results')
@@ -28,6 +29,7 @@ def add_parser(subparsers):
 
 def run(args):
     """Evaluate all points; print their table."""
+    from persem_ros.commands import excerpt_of
     from persem_ros.settings import config_file
     from persem_ros.evaluate.sweep import parse_vary, points_table, sweep
     from persem_ros.evaluate.show.table import console
@@ -35,6 +37,6 @@ def run(args):
     result = sweep(args.bags, args.out, config, parse_vary(args.vary, config),
                    methods_of(args.methods), args.labels, args.grouped, not args.no_dynamic,
                    args.predictions, args.workers, args.scheduler, args.force,
-                   not args.no_figures)
+                   not args.no_figures, excerpt_of(args))
     print(console(points_table(result)))
     print(f'\nresults in {args.out}')

@@ -17,6 +17,8 @@ from persem_ros.evaluate.show import page, table
 from persem_ros.evaluate.show.paper_tables import tables
 from persem_ros.evaluate.work import jobs, manifest
 from persem_ros.evaluate.work.task import ALL_METHODS, Task
+from persem_ros.inputs.recording import finding
+from persem_ros.inputs.recording.excerpt import Excerpt, WHOLE
 from persem_ros.outputs.files import write_json, write_text
 from persem_ros.outputs.results import rundir
 from persem_ros.preflight.look import opened
@@ -34,7 +36,8 @@ REQUEST = 'request.json'        # what the folder is an evaluation of
 def evaluate(recordings: list[Path | str], out: Path | str, config: Config,
              methods: tuple[str, ...] = ALL_METHODS, labels: str = '', grouped: bool = False,
              dynamic: bool = True, predictions: str = '', workers: int = 0, scheduler: str = '',
-             force: bool = False, figures: bool = True) -> dict[str, Any] | None:
+             force: bool = False, figures: bool = True,
+             excerpt: Excerpt = WHOLE) -> dict[str, Any] | None:
     """
     Evaluate recordings into a folder; what is finished there is not computed again.
 
@@ -59,6 +62,8 @@ def evaluate(recordings: list[Path | str], out: Path | str, config: Config,
         Give up what an evaluation with other settings left in the folder.
     figures : bool
         Draw figures and write report.html.
+    excerpt : persem_ros.inputs.recording.excerpt.Excerpt
+        Which frames of each recording are used.
 
     Returns
     -------
@@ -76,7 +81,8 @@ def evaluate(recordings: list[Path | str], out: Path | str, config: Config,
         page.check()            # before the work
     paths = named(recordings)
     tasks = {name: Task(str(path), config, methods, str(labels), grouped, dynamic,
-                        predictions_of(predictions, name, len(paths)), pictures=figures)
+                        predictions_of(predictions, name, len(paths)), pictures=figures,
+                        excerpt=excerpt)
              for name, path in paths.items()}
     frames = {name: check(task) for name, task in tasks.items()}
     folder = prepare(out, request_of(next(iter(tasks.values()))), force)
@@ -166,7 +172,7 @@ def check(task: Task) -> int | None:
     """Return the frames that a task will read; refuse what cannot be used, before the work."""
     if task.config.map.path:
         raise PersemError('map.path: an evaluation begins with an empty map; leave it out')
-    with opened(task.recording, task.config) as recording:
+    with opened(task.recording, task.config, excerpt=task.excerpt) as recording:
         text = recording.legend_text
         legend = Legend.from_yaml(text, "the recording's legend") if text else None
         found = taxonomy(task.labels, task.grouped, task.dynamic, legend)
@@ -174,7 +180,7 @@ def check(task: Task) -> int | None:
             raise PersemError(f'{recording.path}: --grouped and --no-dynamic need a legend with '
                               'classes; name one with --labels')
         if not recording.has('truth'):
-            log.warning('%s has no truth: accuracy unknown, flicker only', recording.path.name)
+            log.warning('%s has no truth: accuracy unknown, flicker only', recording.name)
         return 2 * recording.expected
 
 
@@ -204,11 +210,12 @@ def chosen_methods(methods: tuple[str, ...]) -> tuple[str, ...] | None:
 def named(recordings: list[Path | str]) -> dict[str, Path]:
     """Return {name: path} of recordings, the names made different."""
     names, result = Counter(), {}
-    for path in map(Path, recordings):
-        path = path.resolve()
-        stem = path.name if path.is_dir() else path.stem
+    for given in recordings:
+        parts = [path.resolve() for path in finding.split(given)]
+        stem = '+'.join(path.name if path.is_dir() else path.stem for path in parts)
         names[stem] += 1
-        result[stem if names[stem] == 1 else f'{stem}-{names[stem]}'] = path
+        name = stem if names[stem] == 1 else f'{stem}-{names[stem]}'
+        result[name] = Path('+'.join(map(str, parts)))
     return result
 
 
@@ -226,4 +233,5 @@ def request_of(task: Task) -> dict[str, Any]:
     """Return what all sequences of a folder share, as JSON."""
     found = manifest.identity(task)
     return {name: found[name] for name in (
-        'settings', 'methods', 'taxonomy', 'grouped', 'dynamic', 'pictures')}
+        'settings', 'methods', 'taxonomy', 'grouped', 'dynamic', 'pictures', 'excerpt')
+        if name in found}

@@ -16,6 +16,7 @@ from persem_ros.evaluate.show import sweep_page, table
 from persem_ros.evaluate.work import manifest
 from persem_ros.evaluate.work.stream import Disturbance
 from persem_ros.evaluate.work.task import Task
+from persem_ros.inputs.recording.excerpt import Excerpt, WHOLE
 from persem_ros.outputs.files import write_json, write_text
 from persem_ros.outputs.results import rundir
 from persem_ros.settings import config_file
@@ -93,7 +94,8 @@ def _checked(name: str, text: str, config: Config) -> float | str | None:
 def sweep(recordings: list[Path | str], out: Path | str, config: Config,
           axes: dict[str, list[float | str]], methods: tuple[str, ...] = METHODS, labels: str = '',
           grouped: bool = False, dynamic: bool = True, predictions: str = '', workers: int = 0,
-          scheduler: str = '', force: bool = False, figures: bool = True) -> dict[str, Any] | None:
+          scheduler: str = '', force: bool = False, figures: bool = True,
+          excerpt: Excerpt = WHOLE) -> dict[str, Any] | None:
     """
     Evaluate recordings at every combination of the values of *axes* (parse_vary).
 
@@ -112,7 +114,8 @@ def sweep(recordings: list[Path | str], out: Path | str, config: Config,
     methods = run.chosen_methods(methods)
     paths = run.named(recordings)
     base = {name: Task(str(path), config, methods, str(labels), grouped, dynamic,
-                       run.predictions_of(predictions, name, len(paths)), pictures=False)
+                       run.predictions_of(predictions, name, len(paths)), pictures=False,
+                       excerpt=excerpt)
             for name, path in paths.items()}
     frames = [run.check(task) for task in base.values()]
     points = [dict(zip(axes, values)) for values in itertools.product(*axes.values())]

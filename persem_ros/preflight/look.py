@@ -6,6 +6,7 @@ from pathlib import Path
 from shlex import quote
 
 from persem_ros.errors import PersemError
+from persem_ros.inputs.recording.excerpt import Excerpt, WHOLE
 from persem_ros.inputs.recording.recording import Recording
 from persem_ros.inputs.recording.source import Source
 from persem_ros.inputs.recording.topics import Choice
@@ -60,9 +61,10 @@ def takes_of(found: list[Finding]) -> dict[str, str]:
     return {name: value for finding in found for name, value in finding.takes.items()}
 
 
-def opened(path: str | Path, config: Config, quiet: bool = False) -> Recording:
+def opened(path: str | Path, config: Config, quiet: bool = False,
+           excerpt: Excerpt = WHOLE) -> Recording:
     """
-    Open a recording for mapping, after a look at it.
+    Open a recording, or an excerpt of it, for mapping, after a look at it.
 
     Warnings and what was decided are logged, unless *quiet* (somebody has said it before); the
     Recording's config holds what was taken.
@@ -86,7 +88,10 @@ def opened(path: str | Path, config: Config, quiet: bool = False) -> Recording:
                               f'{quote(str(path))}" shows what is there')
         if not quiet:
             say(found)
-        return Recording(path, sample.config, source)
+        recording = Recording(path, sample.config, source, excerpt)
+        if excerpt != WHOLE and not quiet:
+            log.info('%s', excerpt.sentence(recording.bounds))
+        return recording
     except BaseException:
         source.close()
         raise

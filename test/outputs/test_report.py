@@ -223,10 +223,10 @@ def test_the_command_does_the_same_again(full, bare, monkeypatch):
                             .replace('&#39;', "'").replace('&#34;', '"'))
         calls = []
         monkeypatch.setattr('persem_ros.replay.replay',
-                            lambda *given: calls.append(given) or case.result)
+                            lambda *given, **rest: calls.append(given) or case.result)
         monkeypatch.setattr(replay_command, 'summary', lambda result, missing: '')
         assert main(words[1:]) == 0
-        bag, out, config, methods, causal, *_ = calls[0]
+        (bag,), out, config, methods, causal, *_ = calls[0]
         assert (Path(bag), Path(out)) == (case.bag, case.folder) and not causal
         assert [row['name'] for row in tables.changed_settings(config)] == \
             [name for name in ('memory.voxel_size',) if case is full] + \

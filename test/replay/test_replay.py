@@ -1,5 +1,6 @@
 """A replay from end to end: what lies in the folder, and that the plain reference agrees."""
 
+from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 import fcntl
@@ -162,7 +163,7 @@ def test_one_frame_is_a_recording(tmp_path):
 
 def test_methods_with_spaces_or_all(monkeypatch):
     given = []
-    monkeypatch.setattr(replay_module, 'replay', lambda *a: given.append(a[3]) or (1 / 0))
+    monkeypatch.setattr(replay_module, 'replay', lambda *a, **_: given.append(a[3]) or (1 / 0))
     for text in (' raw2d , majority,', 'all', ' all '):
         assert main(['replay', 'bag', '--out', 'x', '--methods', text]) == 1
     assert given == [['raw2d', 'majority'], ['all'], ['all']]
@@ -342,20 +343,23 @@ def test_the_recording_is_opened_once_and_read_at_most_twice(recording, tmp_path
     opened, read = [], []
     monkeypatch.setattr(Source, '__init__', noted(Source.__init__, opened))
     monkeypatch.setattr(Recording, 'frames', noted(Recording.frames, read))
-    images = []
-    original = Source.messages
+    places, original = Counter(), Source.read
 
-    def counting(self, names, *window):
-        for topic, *rest in original(self, names, *window):
-            images.append(topic)
-            yield topic, *rest
+    def counting(self, file, place):
+        places[place] += 1
+        return original(self, file, place)
 
-    monkeypatch.setattr(Source, 'messages', counting)
+    monkeypatch.setattr(Source, 'read', counting)
     run(recording, tmp_path / 'out', config_of(), causal=causal)
     assert len(opened) == 1 and len(read) == readings
-    # The look before reads all stamps, and a few images once more.
-    assert images.count('/semantic/image') == 12 * readings + 12 + FIRSTS + 1
-    assert images.count('/semantic/truth') == 12
+    monkeypatch.undo()
+    with Source(recording) as source:
+        found = {name: [places[head.place] for head in source.heads({name})]
+                 for name in ('/semantic/image', '/semantic/truth')}
+    assert len(found['/semantic/image']) == 12
+    # The look before reads a few images once more.
+    assert sum(found['/semantic/image']) == 12 * readings + FIRSTS + 1
+    assert found['/semantic/truth'] == [1] * 12
 
 
 def noted(function, calls):

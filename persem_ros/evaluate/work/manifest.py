@@ -12,6 +12,8 @@ from typing import Any, TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.errors import PersemError
+from persem_ros.inputs.recording.excerpt import WHOLE
+from persem_ros.inputs.recording.finding import split
 from persem_ros.outputs.files import replacing, write_json
 from persem_ros.outputs.results import rundir
 from persem_ros.settings.config import settings
@@ -35,7 +37,8 @@ def identity(task: Task) -> dict[str, Any]:
               for name, value, _ in settings(task.config)}
     if values['labels.legend']:
         values['labels.legend'] = load_legend(values['labels.legend']).to_yaml()
-    return {'recording': content_hash(task.recording),
+    return {'recording': '+'.join(content_hash(part) for part in split(task.recording)),
+            **({} if task.excerpt == WHOLE else {'excerpt': asdict(task.excerpt)}),
             'predictions': content_hash(task.predictions) if task.predictions else '',
             'settings': values, 'methods': list(task.methods),
             'taxonomy': load_legend(task.labels).to_yaml() if task.labels else '',

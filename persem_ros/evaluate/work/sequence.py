@@ -68,7 +68,8 @@ def evaluate_sequence(
         When the recording cannot be used.
 
     """
-    with PeakMemory() as peak, opened(task.recording, task.config, quiet=True) as recording:
+    with PeakMemory() as peak, opened(task.recording, task.config, True,
+                                      task.excerpt) as recording:
         warm_up()
         sequence = Sequence(task, recording, tick)
         sequence.integrate()
@@ -178,7 +179,7 @@ class Sequence:
         outside = [c for c in np.flatnonzero(self.classes.outside) if c not in known]
         seconds = self.watch.seconds
         result = {
-            'name': self.recording.path.name, 'methods_order': list(self.methods),
+            'name': self.recording.name, 'methods_order': list(self.methods),
             'taxonomy': self.taxonomy.name, 'has_truth': self.counter.has_truth,
             'frames': {'used': self.frames, 'dropped': self.dropped,
                        'without_prediction': self.stream.unpredicted},

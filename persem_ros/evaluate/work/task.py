@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from persem_ros.evaluate.work.stream import Disturbance
+from persem_ros.inputs.recording.excerpt import Excerpt, WHOLE
 from persem_ros.settings.config import Config, IMAGE_METHODS, METHODS
 
 ALL_METHODS = IMAGE_METHODS + METHODS
@@ -19,7 +20,7 @@ class Task:
     Attributes
     ----------
     recording : str
-        Path.
+        Path; 'A+B' is one input in two recordings.
     config : Config
     methods : tuple of str
         Some of ALL_METHODS.
@@ -32,6 +33,8 @@ class Task:
     disturbance : Disturbance
     pictures : bool
         Keep what the figures show.
+    excerpt : Excerpt
+        Which of the frames are used.
 
     """
 
@@ -44,3 +47,4 @@ class Task:
     predictions: str = ''
     disturbance: Disturbance = Disturbance()
     pictures: bool = True
+    excerpt: Excerpt = WHOLE

@@ -56,6 +56,12 @@ class Excerpt:
                       for text in (self.start, self.end))
         return start, end
 
+    def words(self) -> list[str]:
+        """Return the options as words of a command line."""
+        given = {'--start': self.start, '--end': self.end,
+                 '--every': str(self.every) if self.every > 1 else ''}
+        return [word for pair in given.items() if pair[1] for word in pair]
+
     def sentence(self, bounds: tuple[int | None, int | None]) -> str:
         """Return how the options were understood, '' where all frames are used."""
         words = [f'{word} {_shown(stamp)} (--{name} {text}, '

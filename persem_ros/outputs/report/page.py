@@ -52,7 +52,7 @@ def render(replay: Replay, result: dict[str, Any], frames: list[dict[str, Any]],
     voxels = dict(zip(*(a.tolist() for a in np.unique(columns['label'], return_counts=True))))
     legend, missing = replay.legend, replay.without_truth()
     context = {
-        'name': replay.recording.path.name, 'method': method, 'result': result,
+        'name': replay.recording.name, 'method': method, 'result': result,
         'headlines': tables.headlines(result, method),
         'has_truth': not missing, 'no_truth': missing[:1].upper() + missing[1:],
         'has_color': any(p['key'] == 'color' for f in frames for p in f['panels']),
@@ -69,7 +69,7 @@ def render(replay: Replay, result: dict[str, Any], frames: list[dict[str, Any]],
         'memory': tables.memory_rows(replay.timing, result['voxels']),
         'legend': tables.legend_rows(legend, voxels, ids),
         'changed': tables.changed_settings(replay.config),
-        'command': tables.command(replay.recording.path, replay.folder, replay.config,
+        'command': tables.command(replay.recording.words, replay.folder, replay.config,
                                   replay.methods, replay.causal),
         'causal': replay.causal, 'topics': _topics(replay.recording),
         'examples': replay.recording.examples, 'notes': replay.recording.notes,

@@ -127,10 +127,10 @@ def changed_settings(config: Config) -> list[dict[str, str]]:
 
 
 def command(
-        recording: Path, folder: Path, config: Config, methods: tuple[str, ...], causal: bool
+        inputs: list[str], folder: Path, config: Config, methods: tuple[str, ...], causal: bool
 ) -> str:
-    """Return the command line that does this replay again."""
-    words = ['persem', 'replay', str(recording), '--out', str(folder)]
+    """Return the command line that does this replay, of *inputs* (words), again."""
+    words = ['persem', 'replay', *inputs, '--out', str(folder)]
     usual = ('raw2d', 'majority', config.refine.method)
     if tuple(methods) != tuple(dict.fromkeys(usual)):
         words += ['--methods', ','.join(methods)]

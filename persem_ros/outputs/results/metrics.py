@@ -86,6 +86,10 @@ class Metrics:
                         self._table)
         self._before[sensor] = shape, valid, new
 
+    def restart(self):
+        """Begin flicker anew: the next frame does not follow the last one."""
+        self._before.clear()
+
     def result(self):
         """
         Return what was measured so far, as metrics.json has it.
