@@ -51,5 +51,5 @@ setup(
     ],
     zip_safe=False,
     entry_points={'console_scripts': ['persem = persem_ros.cli:main',
-                                      'mapper = persem_ros.ros.node:main']},
+                                      'mapper = persem_ros.ros.start:main']},
 )

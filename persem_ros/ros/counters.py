@@ -3,6 +3,8 @@
 from collections import Counter, deque
 import time
 
+from persem_ros.inputs.sync.pairing import UNUSED
+
 WINDOW = 5.0        # s over which rates are taken
 KEPT = 1000         # latencies
 
@@ -64,6 +66,16 @@ class Statistics:
         self.last_frame = time.monotonic()
         self.frame_rate.note()
         self._latencies.append((self.last_frame, latency))
+
+    def losses(self) -> Counter[str]:
+        """Return what was dropped by reason, but for depth that no label image wanted."""
+        return Counter({reason: n for reason, n in dict(self.dropped).items()
+                        if reason != UNUSED})
+
+    @property
+    def unused(self) -> int:
+        """Return the number of depth images that no label image wanted: no loss."""
+        return self.dropped[UNUSED]
 
     def latencies(self):
         """Return (p50, p95) of the recent latencies in seconds, (0, 0) without frames."""

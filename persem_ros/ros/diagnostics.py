@@ -1,5 +1,7 @@
 """/diagnostics once a second: rates, latency, queue, drops, size of the map, last error."""
 
+import socket
+
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from persem_ros.ros.inputs import TF_STATIC
 
@@ -22,30 +24,37 @@ class Diagnostics:
         self._node, self._worker, self._inputs, self._inbox = node, worker, inputs, inbox
         self._out = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._counts, self._dropped = {}, 0
+        # As diagnostic_updater has it: node, then task; several robots share the topic.
+        self._name = f'{node.get_fully_qualified_name().lstrip("/")}: mapping'
+        self._hardware = f'{socket.gethostname()}{node.get_namespace()}'.rstrip('/')
 
-    def publish(self, silent=False):
-        """Publish the state; *silent* says that the watchdog has warned."""
+    def publish(self, silent=''):
+        """Publish the state; *silent* is what the watchdog has warned of, '' for nothing."""
         array = DiagnosticArray(status=[self.status(silent)])
         array.header.stamp = self._node.get_clock().now().to_msg()
         self._out.publish(array)
 
-    def status(self, silent=False):
+    def status(self, silent=''):
         """Return the DiagnosticStatus of now; call it once a second."""
         statistics, memory = self._worker.statistics, self._worker.memory
         p50, p95 = statistics.latencies()
-        dropped = statistics.dropped.total()
+        losses = statistics.losses()
+        dropped = losses.total()
         values = {}
         for one in self._inputs.all:
             if one.role != TF_STATIC and one.subscriptions:
                 values[f'{one.name} (Hz)'] = one.count - self._counts.get(one, 0)
                 values[f'{one.name} messages'] = one.count
+                if one.lost:
+                    values[f'{one.name} lost on the way'] = one.lost
                 self._counts[one] = one.count
         values.update({
             'frames (Hz)': f'{statistics.frame_rate():.1f}', 'frames': statistics.frames,
             'latency p50 (ms)': f'{1e3 * p50:.1f}', 'latency p95 (ms)': f'{1e3 * p95:.1f}',
             'queue messages': len(self._inbox), 'queue bytes': self._inbox.bytes,
             'dropped': dropped,
-            **{f'dropped: {reason}': n for reason, n in sorted(dict(statistics.dropped).items())},
+            **{f'dropped: {reason}': n for reason, n in sorted(losses.items())},
+            'depth without labels': statistics.unused,
             'voxels': memory.n_voxels, 'observations': memory.n_observations,
             'forgotten voxels': statistics.forgotten,
             'map bytes': sum(memory.nbytes().values()), 'sessions': memory.session + 1,
@@ -56,8 +65,8 @@ class Diagnostics:
         level, message = self._verdict(dropped, silent)
         self._dropped = dropped
         return DiagnosticStatus(
-            level=level, name=f'{self._node.get_name()}: mapping', message=message,
-            hardware_id='', values=[KeyValue(key=k, value=str(v)) for k, v in values.items()])
+            level=level, name=self._name, message=message, hardware_id=self._hardware,
+            values=[KeyValue(key=k, value=str(v)) for k, v in values.items()])
 
     def _verdict(self, dropped, silent):
         """Return level and message."""
@@ -66,7 +75,7 @@ class Diagnostics:
         if not self._worker.is_alive():
             return DiagnosticStatus.ERROR, 'the worker has ended'
         if silent:
-            return DiagnosticStatus.WARN, 'no complete frame'
+            return DiagnosticStatus.WARN, silent
         if dropped > self._dropped:
             return DiagnosticStatus.WARN, f'{dropped - self._dropped} messages dropped'
         return DiagnosticStatus.OK, 'paused' if self._worker.paused else 'mapping'

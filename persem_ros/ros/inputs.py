@@ -12,6 +12,7 @@ from persem_ros.inputs.sync.pairing import COLOR, DEPTH, LABELS
 from persem_ros.inputs.sync.poses import PoseBuffer
 from persem_ros.ros.inbox import Item
 from persem_ros.settings.config import topics_of
+from rclpy.event_handler import SubscriptionEventCallbacks, UnsupportedEventTypeError
 from rclpy.qos import (
     DurabilityPolicy, qos_check_compatible, QoSCompatibility, QoSProfile, ReliabilityPolicy)
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
@@ -33,34 +34,53 @@ class Input:
         'labels', 'depth', 'color', 'camera_info', 'pose', 'tf' or 'tf_static'.
     name : str
         The topic as the settings name it, relative.
+    topic : str
+        The same after namespace and remapping.
     takers : list
         Stations or pose buffers that its messages are for.
     choices : list of (str, message class)
         What may be there: (topic, type), the preferred one first.
-    profiles : list of QoSProfile
-        One subscription each.
+    setting : str
+        Its qos.* setting: 'auto', 'best_effort', 'reliable' or 'latched'.
+    depth : int
+        Messages that the middleware keeps.
 
     Attributes
     ----------
+    chosen : int or None
+        Which of the choices it listens to.
+    reliability : str
+        'best_effort', 'reliable' or 'latched': what was subscribed with, '' for nothing.
     count : int
         Messages that came.
+    came : float or None
+        When the last one came, time.monotonic().
+    lost : int
+        Messages that the middleware says it has lost.
 
     """
 
-    def __init__(self, role, name, takers, choices, profiles):
+    def __init__(self, role, name, topic, takers, choices, setting, depth):
         """Keep what belongs together; nothing is subscribed yet."""
-        self.role, self.name, self.takers = role, name, takers
-        self.choices, self.profiles = choices, profiles
+        self.role, self.name, self.topic, self.takers = role, name, topic, takers
+        self.choices, self.setting, self.depth = choices, setting, depth
         self.is_image = role in ORDER
         self.chosen = None
+        self.reliability = ''
         self.subscriptions = []
-        self.count = 0
+        self.count = self.lost = 0
+        self.came = None
         self._last = b''
 
     @property
     def stamp(self):
         """Stamp of the last message in ns, None where there is none."""
         return self.stamp_of(self._last)
+
+    @property
+    def listened(self):
+        """Return the topic that it listens to, after remapping."""
+        return self.choices[self.chosen][0] if self.chosen else self.topic
 
     def stamp_of(self, data):
         """Return the stamp of one of its messages in ns, None where it cannot be read."""
@@ -74,6 +94,7 @@ class Input:
     def note(self, data):
         """Count a message."""
         self.count += 1
+        self.came = time.monotonic()
         self._last = data[:512]     # an image is not kept alive for its stamp
 
 
@@ -97,43 +118,54 @@ class Inputs:
         self._node, self._config, self._inbox = node, config, inbox
         self._buffers = {}
         self._infos = {}
+        self._colored = False
         self.all = []
         for camera in [name for name in config.cameras if name] or ['']:
             self._add_camera(topics_of(config, camera), camera, intake)
-        statics = self._add(TF_STATIC, '/tf_static', list(self._buffers.values()),
-                            [('/tf_static', TFMessage)], [_profile('latched', 1000)])
-        self._subscribe(statics, 0)
-        for one in self.all:
-            if len(one.choices) == 1 or one.role in (LABELS, DEPTH):
-                self._subscribe(one, 0)
+        # Poses may be in another frame than the map; /tf says where that is.
+        for role, topic in ((TF, '/tf'), (TF_STATIC, '/tf_static')):
+            if not any(one.role == role for one in self.all):
+                self._add(role, topic, list(self._buffers.values()), [TFMessage],
+                          config.qos.pose if role == TF else 'latched', 1000)
         self.resolve()
 
     @property
     def settled(self):
         """Whether every topic has a publisher of a type that was subscribed to."""
-        return all(one.chosen is not None and self.publishers(one) for one in self.all
-                   if one.role not in (COLOR, TF_STATIC))
+        return all(one.chosen is not None and self.publishers(one) for one in self.needed)
+
+    @property
+    def needed(self):
+        """Return the inputs without which there is no frame."""
+        tf = self._config.pose.source == 'tf'
+        return [one for one in self.all
+                if one.role not in (COLOR, TF_STATIC) and (tf or one.role != TF)]
 
     def resolve(self):
-        """Follow the graph: take the first of an input's choices that somebody publishes."""
+        """Follow the graph: the first of an input's choices that is published, as it is."""
         for one in self.all:
-            if one.role == COLOR and not one.subscriptions:
+            if one.role == COLOR and not self._colored:
                 continue
+            if one.role == TF and not any(buffer.needs_tf for buffer in one.takers):
+                self._unsubscribe(one)      # hundreds of messages a second that nobody needs
+                continue
+            number = one.chosen
+            if number is None or not self.publishers(one):
+                number = next((n for n in range(len(one.choices))
+                               if self._published(*one.choices[n])), one.chosen)
+            if number is None and one.setting != 'auto' and (
+                    len(one.choices) == 1 or one.role in (LABELS, DEPTH)):
+                number = 0
+            if number is not None:
+                self._subscribe(one, number)
             if one.role == INFO:
                 self._listen_to_the_past(one)
-            if len(one.choices) == 1 or one.chosen is not None and self.publishers(one):
-                continue
-            for number in range(len(one.choices)):
-                if number != one.chosen and self._published(*one.choices[number]):
-                    self._subscribe(one, number)
-                    break
 
     def want_color(self, wanted):
         """Subscribe to colour images, or no longer: only the overlay needs them."""
+        self._colored = wanted
         for one in self.all:
-            if one.role == COLOR and wanted and not one.subscriptions:
-                self._subscribe(one, 0)
-            elif one.role == COLOR and not wanted:
+            if one.role == COLOR and not wanted:
                 self._unsubscribe(one)
 
     def publishers(self, one):
@@ -142,66 +174,109 @@ class Inputs:
 
     def verdict(self, one):
         """Return what stands between an input and its publishers, '' for nothing."""
-        topic, cls = one.choices[one.chosen or 0]
-        everybody = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(topic))
+        everybody = self._node.get_publishers_info_by_topic(one.listened)
         if not everybody:
             return 'no publisher'
         fitting = self.publishers(one)
         if not fitting:
             return f'published as {everybody[0].topic_type}'
-        reasons = [qos_check_compatible(end.qos_profile, one.profiles[0]) for end in fitting]
+        if not one.reliability:
+            return 'not subscribed yet'
+        profile = _profile(one.reliability, one.depth)
+        reasons = [qos_check_compatible(end.qos_profile, profile) for end in fitting]
         if all(verdict == QoSCompatibility.ERROR for verdict, _ in reasons):
             return f'QoS does not fit ({reasons[0][1].strip("; ")}); see qos.{one.role}'
         return ''
 
+    def describe(self):
+        """Return what is listened to, under the names after remapping, in one line."""
+        shown = [one for one in self.all if one.role not in (COLOR, TF_STATIC)
+                 and (one in self.needed or one.chosen is not None)]
+        return ', '.join(f'{one.listened} ({one.role})' for one in shown)
+
     def _add_camera(self, topics, camera, intake):
         qos, pose = self._config.qos, self._config.pose
+        small = SMALL_FACTOR * qos.queue
         name = topics.pose if pose.source == 'topic' else '/tf'
         if name not in self._buffers:
-            buffer = self._buffers[name] = PoseBuffer(self._config)
+            buffer = self._buffers[name] = PoseBuffer(self._config, strict=True)
             if pose.source == 'tf':
-                self._add(TF, name, [buffer], [(name, TFMessage)], [self._small(qos.pose)])
+                self._add(TF, name, [buffer], [TFMessage], qos.pose, small)
             else:
                 kinds = [POSES[pose.type]] if pose.type in POSES else list(POSES.values())
-                self._add(POSE, name, [buffer], [(name, kind) for kind in kinds],
-                          [self._small(qos.pose)])
+                self._add(POSE, name, [buffer], kinds, qos.pose, small)
         station = intake.add_camera(camera, self._buffers[name], (COLOR,))
         for role in (LABELS, DEPTH, COLOR):
             name = getattr(topics, role)
-            self._add(role, name, [station], _images(role, name),
-                      [_profile(getattr(qos, role), qos.queue)])
-        profiles = [self._small(qos.camera_info)]
+            self._add(role, name, [station], [Image, CompressedImage], getattr(qos, role),
+                      qos.queue)
         if topics.camera_info in self._infos:
             self._infos[topics.camera_info].takers.append(station)
         else:
             self._infos[topics.camera_info] = self._add(
-                INFO, topics.camera_info, [station], [(topics.camera_info, CameraInfo)], profiles)
+                INFO, topics.camera_info, [station], [CameraInfo], qos.camera_info, small)
 
-    def _small(self, setting):
-        return _profile(setting, SMALL_FACTOR * self._config.qos.queue)
-
-    def _add(self, *arguments):
-        self.all.append(Input(*arguments))
+    def _add(self, role, name, takers, kinds, setting, depth):
+        """Add an input whose topic has one of *kinds*; images may come by a transport."""
+        topic = self._node.resolve_topic_name(name)
+        choices = [(topic, kind) for kind in kinds]
+        if role in ORDER:
+            transports = ('compressedDepth', 'compressed') if role == DEPTH else ('compressed',)
+            choices += [(self._transport(name, topic, transport), CompressedImage)
+                        for transport in transports]
+        self.all.append(Input(role, name, topic, takers, choices, setting, depth))
         return self.all[-1]
+
+    def _transport(self, name, topic, transport):
+        """Return a transport's topic: below the remapped topic, unless it is remapped itself."""
+        own = f'{name}/{transport}'
+        resolved = self._node.resolve_topic_name(own)
+        remapped = resolved != self._node.resolve_topic_name(own, only_expand=True)
+        return resolved if remapped else f'{topic}/{transport}'
 
     def _published(self, topic, cls):
         """Return the publishers of a topic with the type of *cls*."""
-        return [end for end in self._node.get_publishers_info_by_topic(
-            self._node.resolve_topic_name(topic)) if end.topic_type == type_name(cls)]
+        return [end for end in self._node.get_publishers_info_by_topic(topic)
+                if end.topic_type == type_name(cls)]
 
     def _subscribe(self, one, number):
-        """Listen to an input's choice *number* instead of what it listened to before."""
-        if one.chosen == number and one.subscriptions:
+        """Listen to an input's choice *number*, in the way that fits its publishers."""
+        reliability = self._reliability(one, number)
+        if one.subscriptions and (number, reliability) == (one.chosen, one.reliability):
             return
         self._unsubscribe(one)
-        topic, cls = one.choices[number]
+        one.chosen, one.reliability = number, reliability
+        one.subscriptions = [self._subscription(one, reliability)]
+
+    def _reliability(self, one, number):
+        """Return how to subscribe to an input's choice *number*, as rosbag2 decides."""
+        if one.setting != 'auto':
+            return one.setting
+        ends = self._published(*one.choices[number])
+        if not ends:        # they went away; the next may be like them
+            return one.reliability or 'best_effort'
+        reliable = all(end.qos_profile.reliability == ReliabilityPolicy.RELIABLE for end in ends)
+        return 'reliable' if reliable else 'best_effort'
+
+    def _subscription(self, one, reliability):
+        """
+        Return a subscription that hands out serialized messages.
+
+        They are decoded once, by the worker, with the replay's own code, and damaged ones do not
+        reach the middleware's.
+
+        """
+        topic, cls = one.choices[one.chosen]
         received = partial(self._received, one, type_name(cls))
-        # Serialized messages: they are decoded once, by the worker, with the replay's own code,
-        # and damaged ones do not reach the middleware's.
-        one.subscriptions = [self._node.create_subscription(cls, topic, received, profile,
-                                                            raw=True)
-                             for profile in one.profiles]
-        one.chosen = number
+        profile = _profile(reliability, one.depth)
+        create = partial(self._node.create_subscription, cls, topic, received, profile, raw=True)
+        if one.is_image:
+            try:
+                return create(event_callbacks=SubscriptionEventCallbacks(
+                    message_lost=partial(_lost, one)))
+            except UnsupportedEventTypeError:
+                pass
+        return create()
 
     def _listen_to_the_past(self, one):
         """
@@ -211,18 +286,15 @@ class Inputs:
         a volatile publisher: only both hear everybody.
 
         """
-        if len(one.subscriptions) == 1 and self._config.qos.camera_info != 'latched' and any(
+        if len(one.subscriptions) == 1 and one.reliability != 'latched' and any(
                 end.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
                 for end in self.publishers(one)):
-            topic, cls = one.choices[one.chosen]
-            received = partial(self._received, one, type_name(cls))
-            one.subscriptions.append(self._node.create_subscription(
-                cls, topic, received, self._small('latched'), raw=True))
+            one.subscriptions.append(self._subscription(one, 'latched'))
 
     def _unsubscribe(self, one):
         for subscription in one.subscriptions:
             self._node.destroy_subscription(subscription)
-        one.subscriptions = []
+        one.subscriptions, one.chosen, one.reliability = [], None, ''
 
     def _received(self, one, kind, data):
         one.note(data)
@@ -243,19 +315,16 @@ def check_topics(config):
                               'expected two topics')
 
 
-def _images(role, name):
-    """Return the choices of an image topic; the transports are those of image_transport."""
-    choices = [(name, Image), (name, CompressedImage), (f'{name}/compressed', CompressedImage)]
-    if role == DEPTH:
-        choices.insert(2, (f'{name}/compressedDepth', CompressedImage))
-    return choices
+def _lost(one, event):
+    """Count what the middleware has lost."""
+    one.lost += event.total_count_change
 
 
 def _profile(setting, depth):
-    """Return the QoSProfile of a qos.* setting."""
+    """Return the QoSProfile of 'best_effort', 'reliable' or 'latched'."""
     return QoSProfile(
         depth=depth,
-        reliability=ReliabilityPolicy.BEST_EFFORT if setting in ('auto', 'best_effort')
+        reliability=ReliabilityPolicy.BEST_EFFORT if setting == 'best_effort'
         else ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if setting == 'latched'
         else DurabilityPolicy.VOLATILE)

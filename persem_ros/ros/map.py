@@ -45,6 +45,7 @@ class MapOutputs:
         self._text = node.create_publisher(String, '~/legend', LATCHED)
         self._thread = ThreadPoolExecutor(1, 'map', work_alone)
         self._job = None
+        self._listeners = {'map': 0, 'changes': 0}
         self._alive = node.context.ok
         self._known = Known()
         self.publish_legend()
@@ -59,9 +60,12 @@ class MapOutputs:
         return self._job is not None and not self._job.done()
 
     def wanted(self):
-        """Return which of 'map' and 'changes' somebody listens to."""
-        return {name for name, out in (('map', self._map), ('changes', self._changes))
-                if out.get_subscription_count()}
+        """Return which of 'map' and 'changes' somebody listens to, and what is new to somebody."""
+        now = {name: out.get_subscription_count()
+               for name, out in (('map', self._map), ('changes', self._changes))}
+        before, self._listeners = self._listeners, now
+        return ({name for name, count in now.items() if count},
+                {name for name, count in now.items() if count > before[name]})
 
     def publish(self, wanted, columns, voxel_size, stamp, centre, settings):
         """
@@ -103,13 +107,13 @@ class MapOutputs:
                 points[len(gone):] = self._points(changed, voxel_size)
                 for axis, name in enumerate('xyz'):     # observations stay 0: removed
                     points[name][:len(gone)] = (gone[:, axis] + 0.5) * voxel_size
-                self._changes.publish(cloud(stamp, self._frame, points))
+                if len(points):
+                    self._changes.publish(cloud(stamp, self._frame, points))
             if 'map' in wanted:
                 shown = selection(columns, voxel_size, centre, settings)
                 self._map.publish(cloud(stamp, self._frame, self._points(shown, voxel_size)))
         except Exception:       # noqa: B902  whatever it is, mapping goes on
-            if self._alive():   # else ROS was shut down under us
-                log.exception('the map could not be published')
+            log.exception('the map could not be published')
 
     def _points(self, columns, voxel_size):
         return map_points(columns, voxel_size, self._legend())

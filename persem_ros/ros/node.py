@@ -1,31 +1,37 @@
 """The node: parameters in, messages to the worker, results out. Start here."""
 
+from contextlib import contextmanager
 import logging
-from pathlib import Path
+import threading
 
-from persem_ros.core.memory.dump import dump
 from persem_ros.errors import PersemError
 from persem_ros.inputs.decode.serialized import Decoder
 from persem_ros.inputs.live import LiveIntake
-from persem_ros.outputs.map import store
 from persem_ros.ros.counters import Statistics
 from persem_ros.ros.diagnostics import Diagnostics
+from persem_ros.ros.ending import Ending
 from persem_ros.ros.images import ImageOutputs
 from persem_ros.ros.inbox import Inbox
 from persem_ros.ros.inputs import check_topics, Inputs
+from persem_ros.ros.losses import Losses
 from persem_ros.ros.map import LATCHED, MapOutputs
+from persem_ros.ros.map_file import MapFile
 from persem_ros.ros.parameters import Parameters
 from persem_ros.ros.services import Services
 from persem_ros.ros.watchdog import Watchdog
+from persem_ros.ros.wording import as_ros
 from persem_ros.ros.worker import Worker
 from persem_ros.settings.legend import Legend, load_legend
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 
 LOOK = 0.1      # s between two looks at the graph, until every input is found
+LATE = 'depth images come {:.1f} s after their stamp, or their clock is behind (chrony, PTP): ' \
+       'then every frame gets a wrong pose'
 
 
 class Mapper(Node):
@@ -38,48 +44,63 @@ class Mapper(Node):
     """
 
     def __init__(self, **options):
-        """Declare parameters, subscribe, advertise, start the worker."""
+        """Declare parameters, subscribe, advertise; `start` begins to work."""
         super().__init__('mapper', automatically_declare_parameters_from_overrides=True, **options)
         self._handler = _forward(self.get_logger())
         self.parameters = Parameters(self)
         config = self.parameters.config
         check_topics(config)
         self.legend = load_legend(config.labels.legend) if config.labels.legend else Legend()
+        self._colors = None
         self.statistics = Statistics()
-        self.worker = Worker(config, self.statistics, _stored(config), self.context.ok)
+        self.map_file = MapFile(lambda: self.statistics.forgotten, lambda: self.legend)
+        self.worker = Worker(config, self.statistics, self.map_file.begin(config))
         self.inbox = Inbox(config.sync, self.worker.lost)
-        intake = LiveIntake(config, Decoder(), self.statistics.dropped, self.worker.jumped)
-        self.maps = MapOutputs(self, config.frames.map, lambda: self.legend)
+        self.intake = LiveIntake(config, Decoder(), self.statistics.dropped, self.worker.jumped,
+                                 lambda: self.get_clock().now().nanoseconds)
+        self.maps = MapOutputs(self, config.frames.map, self.colors)
         cameras = [name for name in config.cameras if name] or ['']
-        images = {name: ImageOutputs(self, name, lambda: self.legend) for name in cameras}
-        self.inputs = Inputs(self, config, intake, self.inbox)
-        self.worker.connect(self.inbox, intake, images, self.maps, self.inputs.all)
-        self.triggers = Services(self, self.worker, lambda: self.legend)
+        images = {name: ImageOutputs(self, name, self.colors) for name in cameras}
+        self.inputs = Inputs(self, config, self.intake, self.inbox)
+        self.worker.connect(self.inbox, self.intake, images, self.maps, self.inputs.all)
+        self.triggers = Services(self, self.worker, self.map_file)
         self._watchdog = Watchdog(self.inputs, self.statistics)
+        self._losses = Losses(self.inputs.all)
         self._diagnostics = Diagnostics(self, self.worker, self.inputs, self.inbox)
         self._images = images
+        self._late = False
         if not config.labels.legend:
             self.create_subscription(String, config.labels.topic, self._take_legend, LATCHED)
-        self.parameters.follow(lambda changed: self.worker.call(self.worker.configure, changed))
+        self.parameters.follow(self._configure)
         steady = Clock(clock_type=ClockType.STEADY_TIME)    # a paused /clock stops no timer
         self._looking = self.create_timer(LOOK, self._look, clock=steady)
         self.create_timer(1.0, self._tick, clock=steady)
+
+    def start(self):
+        """Begin to work."""
+        self.get_logger().info(f'listening to {self.inputs.describe()}; results under '
+                               f'{self.get_fully_qualified_name()}/')
         self.worker.start()
 
     def close(self):
-        """Stop the worker, save the map if map.save says so."""
+        """Stop the worker, save the map if map.save says so; return whether that went well."""
         self.worker.stop()
         self.triggers.close()
-        config = self.worker.config
-        if config.map.save and config.map.path:
-            try:
-                store.save(Path(config.map.path).expanduser(), dump(self.worker.memory), config,
-                           self.legend)
-                self.get_logger().info(f'saved {self.worker.memory.n_voxels} voxels to '
-                                       f'{config.map.path}')
-            except PersemError as error:
-                self.get_logger().error(str(error))
+        well = self.map_file.end(self.worker.config, self.worker.memory,
+                                 self.statistics.frames > 0)
         logging.getLogger('persem_ros').removeHandler(self._handler)
+        return well
+
+    def colors(self):
+        """Return the legend with the ids that the settings ignore in grey, as a replay's."""
+        key = self.legend, self.parameters.config.memory.ignore_labels
+        if self._colors is None or self._colors[0] is not key[0] or self._colors[1] != key[1]:
+            self._colors = *key, self.legend.ignoring(key[1])
+        return self._colors[2]
+
+    def _configure(self, config):
+        """Have the worker go on with changed settings."""
+        self.worker.call(self.worker.configure, config)
 
     def _look(self):
         """Follow the graph until every input has a publisher; _tick goes on once a second."""
@@ -93,7 +114,12 @@ class Mapper(Node):
             self._looking.reset()
         self.inputs.want_color(any('overlay' in out.wanted() for out in self._images.values()))
         self._watchdog.look()
-        self._diagnostics.publish(self._watchdog.warned)
+        self._losses.look()
+        late, before = self.intake.lateness, self._late
+        self._late = late > 0
+        if late and not before:
+            self.get_logger().warning(LATE.format(late / 1e9))
+        self._diagnostics.publish(self._watchdog.state)
 
     def _take_legend(self, msg):
         """Use the legend of a topic; refuse what is none."""
@@ -107,38 +133,77 @@ class Mapper(Node):
             self.maps.publish_legend()
 
 
-def main(args=None):
-    """Run the node until it is interrupted; return the exit status."""
-    rclpy.init(args=args)
+def main(args=None, ending=None):
+    """
+    Run the node until it is asked to end; return the exit status.
+
+    Parameters
+    ----------
+    args : list of str, optional
+        The command line.
+    ending : persem_ros.ros.ending.Ending, optional
+        Hears the signals.
+
+    """
+    ending = ending or Ending()
     node, status = None, 0
     try:
+        # Our own handlers: ROS lives until the map is saved.
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         node = Mapper()
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
-        executor.spin()
+        ending.patient = True
+        with _spinning(node, ending):
+            node.start()
+            ending.wait()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except PersemError as error:
-        rclpy.logging.get_logger('mapper').fatal(str(error))
+        rclpy.logging.get_logger('mapper').fatal(as_ros(str(error)))
         status = 1
     finally:
+        ending.patient = True
         if node is not None:
-            node.close()
+            status = status if node.close() else 1
             node.destroy_node()
         rclpy.try_shutdown()
+        ending.over()
     return status
 
 
-def _stored(config):
-    """Return the memory of map.path where map.load asks for it, else None."""
-    if not (config.map.load and config.map.path):
-        return None
-    path = Path(config.map.path).expanduser()
-    if config.map.save and not path.exists():       # the first of many sessions
-        return None
-    memory = store.load(path).memory(config)
-    memory.new_session()
-    return memory
+@contextmanager
+def _spinning(node, ending):
+    """
+    Have an executor serve *node* on a thread; what ends that ends the node.
+
+    The main thread stays free: only there Python hears signals, and only while it is not inside
+    of the middleware.
+
+    """
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    failure = []
+
+    def spin():
+        try:
+            while not ending.wanted:
+                executor.spin_once()
+        except ExternalShutdownException:
+            pass
+        except BaseException as error:      # noqa: B902  told by the main thread
+            failure.append(error)
+        finally:
+            ending.want()
+    thread = threading.Thread(target=spin, name='executor')
+    thread.start()
+    try:
+        yield
+    finally:
+        ending.want()
+        executor.wake()
+        thread.join()
+        executor.shutdown()
+    if failure:
+        raise failure[0]
 
 
 class _Forward(logging.Handler):
@@ -152,7 +217,7 @@ class _Forward(logging.Handler):
 
     def emit(self, record):
         """Log one record."""
-        text = self.format(record)
+        text = as_ros(self.format(record))
         level = min(record.levelno, logging.ERROR)
         if level >= logging.ERROR:
             self._by_level[logging.ERROR](text)

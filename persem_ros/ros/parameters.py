@@ -3,11 +3,14 @@
 from array import array
 
 from persem_ros.errors import PersemError
+from persem_ros.ros.map_file import unusable
+from persem_ros.ros.wording import as_ros
 from persem_ros.settings.config import nearest, settings, topics_of, updated
 from persem_ros.settings.config_file import comment, from_values, NODE_DEFAULTS, span
 from persem_ros.settings.parameter_file import ROS_OWN
 from rcl_interfaces.msg import (
     FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult)
+from rclpy.parameter import Parameter
 
 FLAT = {'cameras': ('',)}       # settings whose empty list ROS could not type
 
@@ -53,6 +56,7 @@ class Parameters:
         for name, value, meta in settings(self.config):
             node.declare_parameter(name, listed(name, value), _descriptor(name, value, meta),
                                    ignore_override=True)
+        node.add_pre_set_parameters_callback(self._as_numbers)
         node.add_on_set_parameters_callback(self._check)
 
     def follow(self, changed):
@@ -67,10 +71,16 @@ class Parameters:
     def _check(self, parameters):
         """Refuse values that do not fit, alone or together."""
         try:
-            updated(self.config, self._ours(parameters))
+            config = updated(self.config, self._ours(parameters))
         except PersemError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        return SetParametersResult(successful=True)
+            return SetParametersResult(successful=False, reason=as_ros(str(error)))
+        problem = unusable(config) if config.map != self.config.map else ''
+        return SetParametersResult(successful=not problem, reason=as_ros(problem))
+
+    def _as_numbers(self, parameters):
+        """Take whole numbers where doubles are meant: ROS types '2' and '[0, 0, 0]' as those."""
+        kinds = {name: value for name, value, _ in settings(self.config)}
+        return [_as_double(p, kinds.get(p.name)) for p in parameters]
 
     def _ours(self, parameters):
         known = {name for name, _, _ in settings(self.config)}
@@ -92,6 +102,17 @@ def listed(name, value):
     if isinstance(value, tuple):
         return list(value or FLAT.get(name, (-1,)))
     return value
+
+
+def _as_double(parameter, value):
+    """Return a parameter with doubles in place of integers where *value* has doubles."""
+    if parameter.type_ == Parameter.Type.INTEGER and isinstance(value, float):
+        return Parameter(parameter.name, Parameter.Type.DOUBLE, float(parameter.value))
+    if parameter.type_ == Parameter.Type.INTEGER_ARRAY and isinstance(value, tuple) \
+            and value and isinstance(value[0], float):
+        return Parameter(parameter.name, Parameter.Type.DOUBLE_ARRAY,
+                         [float(item) for item in parameter.value])
+    return parameter
 
 
 def _descriptor(name, value, meta):

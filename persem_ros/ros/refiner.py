@@ -43,20 +43,26 @@ class Refiner:
         """Return whether a refinement is under way."""
         return self._job is not None
 
-    def begin(self, memory, settings):
-        """Begin a refinement where one is due and none under way."""
+    def begin(self, memory, settings, stale=True):
+        """
+        Begin a refinement where one is due and none under way.
+
+        Without anything new in the map (*stale* false) only that which was asked for is due.
+        Returns whether a full one has begun: after it there is nothing left to refine.
+
+        """
         if self._job is not None:
-            return
+            return False
         if memory.n_voxels:
-            if self._asked or time.monotonic() - self._began >= settings.period:
-                self._begin(memory, settings)
-            return
+            due = stale and time.monotonic() - self._began >= settings.period
+            return self._begin(memory, settings) if self._asked or due else False
         for asked in self._asked:
             asked.set_exception(PersemError('the map is empty, there is nothing to refine'))
         self._asked = []
+        return False
 
     def finish(self, memory):
-        """Enter what has been computed; return whether labels have changed."""
+        """Enter what has been computed; return whether labels may have changed."""
         if self._job is None or not self._result.done():
             return False
         job, result, served = self._job, self._result, self._served
@@ -78,7 +84,7 @@ class Refiner:
         self._statistics.refined_in, self._statistics.visited = took, visited
         for future in served:
             future.set_result((visited, took))
-        return True
+        return visited > 0
 
     def ask(self):
         """Return a Future of a full refinement begun from now on: (voxels visited, seconds)."""
@@ -99,6 +105,7 @@ class Refiner:
         self._job = begin(memory, settings, full)
         self._served, self._asked = self._asked, []
         self._result = self._thread.submit(self._compute, self._job)
+        return full
 
     def _compute(self, job):
         try:

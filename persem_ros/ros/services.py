@@ -2,11 +2,10 @@
 
 from concurrent.futures import ThreadPoolExecutor
 import logging
-from pathlib import Path
 
-from persem_ros.core.memory.dump import dump
 from persem_ros.errors import PersemError
-from persem_ros.outputs.map import store
+from persem_ros.ros.map_file import path_of
+from persem_ros.ros.wording import as_ros
 from rclpy.callback_groups import ReentrantCallbackGroup
 from std_srvs.srv import Trigger
 
@@ -24,14 +23,14 @@ class Services:
     ----------
     node : rclpy.node.Node
     worker : persem_ros.ros.worker.Worker
-    legend : callable
-        legend() gives the persem_ros.settings.legend.Legend in force.
+    map_file : persem_ros.ros.map_file.MapFile
+        Reads and writes map.path.
 
     """
 
-    def __init__(self, node, worker, legend):
+    def __init__(self, node, worker, map_file):
         """Advertise the services."""
-        self._worker, self._legend = worker, legend
+        self._worker, self._map_file = worker, map_file
         self._threads = ThreadPoolExecutor(4, 'service')
         self._done = node.create_guard_condition(lambda: None)
         # A group of its own: a service that waits would keep everything else of its group waiting.
@@ -47,18 +46,15 @@ class Services:
 
     def save_map(self):
         """Save to map.path; only copying the map keeps the worker from mapping."""
-        path = self._path()
-        saved = self._worker.call(lambda: dump(self._worker.memory)).result()
-        store.save(path, saved, self._worker.config, self._legend())
-        return f'saved {len(saved.cell)} voxels to {path}'
+        worker = self._worker
+        return self._map_file.save(worker.config, lambda: worker.call(
+            lambda: self._map_file.copied(worker.memory)).result())
 
     def load_map(self):
         """Load map.path in place of the map."""
-        path = self._path()
-        memory = store.load(path).memory(self._worker.config)
-        memory.new_session()
+        memory = self._map_file.load(self._worker.config)
         self._worker.call(self._worker.replace, memory).result()
-        return f'loaded {memory.n_voxels} voxels from {path}'
+        return f'loaded {memory.n_voxels} voxels from {path_of(self._worker.config)}'
 
     def reset(self):
         """Forget the map."""
@@ -84,14 +80,6 @@ class Services:
         again = ' already' if before == paused else ''
         return f'{word}{again}, {self._worker.memory.n_voxels} voxels'
 
-    def _path(self):
-        """Return the absolute path of map.path; refuse an empty one."""
-        path = self._worker.config.map.path
-        if not path:
-            raise PersemError('map.path is empty; name a file: ros2 param set <node> map.path '
-                              '/absolute/path/map.persem')
-        return Path(path).expanduser().absolute()
-
     def _service(self, work):
         async def serve(request, response):
             future = self._threads.submit(work)
@@ -101,7 +89,7 @@ class Services:
                 response.success, response.message = True, future.result()
                 log.info('%s', response.message)
             except PersemError as error:
-                response.success, response.message = False, str(error)
+                response.success, response.message = False, as_ros(str(error))
                 log.warning('%s: %s', work.__name__, error)
             except Exception as error:      # noqa: B902  the node outlives a failing service
                 response.success = False

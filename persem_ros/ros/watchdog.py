@@ -3,7 +3,8 @@
 import logging
 import time
 
-from persem_ros.ros.inputs import TF_STATIC
+from persem_ros.ros.counters import Statistics
+from persem_ros.ros.inputs import Input, Inputs
 
 log = logging.getLogger(__name__)
 PATIENCE = 5.0      # s
@@ -20,40 +21,55 @@ class Watchdog:
 
     Attributes
     ----------
-    warned : bool
-        No complete set has come for a while, and the warning is out.
+    state : str
+        '' while complete sets come, 'no complete frame' where something is missing, 'nothing
+        comes any more' where all is quiet after frames had come.
 
     """
 
-    def __init__(self, inputs, statistics):
+    def __init__(self, inputs: Inputs, statistics: Statistics) -> None:
         """Begin to wait."""
         self._inputs, self._statistics = inputs, statistics
         self._since = time.monotonic()
-        self.warned = False
+        self.state = ''
 
-    def look(self):
+    def look(self) -> None:
         """Warn once when nothing has come for 5 s; say once that it comes again."""
         last = max(self._since, self._statistics.last_frame or 0.0)
-        silent = time.monotonic() - last >= PATIENCE
-        if silent and not self.warned:
+        before, self.state = self.state, ''
+        if time.monotonic() - last >= PATIENCE:
+            self.state = 'nothing comes any more' if self._ended() else 'no complete frame'
+        if self.state == before:
+            return
+        if self.state == 'nothing comes any more':
+            log.warning('nothing comes any more: %d frames were mapped, for %.0f s no topic has '
+                        'brought anything (has the recording ended?)', self._statistics.frames,
+                        PATIENCE)
+        elif self.state:
             log.warning('no complete set of messages for %.0f s: %s', PATIENCE, self.describe())
-        elif self.warned and not silent:
+        elif before:
             log.info('complete sets of messages come again')
-        self.warned = silent
 
-    def describe(self):
+    def describe(self) -> str:
         """Return what is known of each topic, in one sentence."""
-        parts = []
-        for one in self._inputs.all:
-            if one.role == TF_STATIC or not (one.subscriptions or one.role == 'pose'):
-                continue
-            stamp = one.stamp
-            last = 'no stamp' if stamp is None else f'last stamp {stamp / 1e9:.3f}'
-            publishers = len(self._inputs.publishers(one))
-            verdict = self._inputs.verdict(one)
-            name = one.choices[one.chosen or 0][0]
-            parts.append(f'{name} ({one.role}): {one.count} messages, {last}, {publishers} '
-                         f'publishers, {verdict or "QoS fits"}')
+        parts = [self._describe(one) for one in self._inputs.needed]
         drops = ', '.join(f'{reason} ({n})' for reason, n in
-                          sorted(dict(self._statistics.dropped).items()))
+                          sorted(self._statistics.losses().items()))
         return '; '.join(parts) + (f'; dropped: {drops}' if drops else '')
+
+    def _describe(self, one: Input) -> str:
+        stamp = one.stamp
+        last = 'no stamp' if stamp is None else f'last stamp {stamp / 1e9:.3f}'
+        if one.came is not None and time.monotonic() - one.came >= PATIENCE:
+            last += f', {time.monotonic() - one.came:.0f} s ago'
+        lost = f', {one.lost} lost on the way' if one.lost else ''
+        publishers = len(self._inputs.publishers(one))
+        verdict = self._inputs.verdict(one) or f'QoS fits ({one.reliability})'
+        return (f'{one.listened} ({one.role}): {one.count} messages{lost}, {last}, {publishers} '
+                f'publishers, {verdict}')
+
+    def _ended(self) -> bool:
+        """Whether frames had come and no topic brings anything any more."""
+        came = [one.came for one in self._inputs.needed if one.came is not None]
+        return self._statistics.frames > 0 and bool(came) \
+            and time.monotonic() - max(came) >= PATIENCE

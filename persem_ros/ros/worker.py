@@ -2,6 +2,7 @@
 
 from collections import Counter
 from concurrent.futures import Future
+import ctypes
 import logging
 import queue
 import threading
@@ -13,15 +14,23 @@ from persem_ros.core.jit import Announcement
 from persem_ros.core.memory.evict import keep_near
 from persem_ros.core.warmup import warm_up
 from persem_ros.errors import PersemError
-from persem_ros.inputs.sync.pairing import QUEUE_FULL
+from persem_ros.inputs.live import BEHIND
+from persem_ros.inputs.sync.pairing import DEPTH, NO_DEPTH, QUEUE_FULL
 from persem_ros.pipeline import Pipeline
 from persem_ros.ros.images import NO_SOURCE
+from persem_ros.ros.losses import remedy
 from persem_ros.ros.refiner import Refiner
 
 log = logging.getLogger(__name__)
 TICK = 0.05             # s between two looks at frames that wait for what does not come
 TRIM = 0.5              # s between two looks at what is too far away
 THROTTLE = 5.0          # s between two warnings for one reason
+LOOK = 0.1              # s between two looks at who listens to the map
+CHANGES = 1.0           # s after which changes are told however busy the node is
+
+
+class _Stopped(BaseException):
+    """Ends the thread while kernels are compiled; nothing catches it on its way."""
 
 
 class Worker(threading.Thread):
@@ -34,8 +43,6 @@ class Worker(threading.Thread):
     statistics : persem_ros.ros.counters.Statistics
     memory : persem_ros.core.memory.voxel_memory.VoxelMemory, optional
         A map to go on with.
-    alive : callable
-        alive() says whether ROS is still there to publish to.
 
     Attributes
     ----------
@@ -47,7 +54,7 @@ class Worker(threading.Thread):
 
     """
 
-    def __init__(self, config, statistics, memory=None, alive=lambda: True):
+    def __init__(self, config, statistics, memory=None):
         """Make an empty map, or go on with *memory*."""
         super().__init__(name='worker', daemon=True)
         self.pipeline = Pipeline(config, memory)
@@ -55,12 +62,13 @@ class Worker(threading.Thread):
         self.paused = False
         self.ready = threading.Event()
         self.refiner = Refiner(statistics, self._wake)
-        self._alive = alive
         self._calls = queue.SimpleQueue()
         self._ending = False
-        self._mapped = self._trimmed = time.monotonic()
+        self._mapped = self._trimmed = self._looked = self._changed = time.monotonic()
         self._stale = set()         # what the map's topics have not shown yet: 'map', 'changes'
+        self._unrefined = memory is not None    # whether a full refinement would find anything
         self._listening = set()
+        self._shown = False         # an empty map is shown only after one that was not
         self._stamp = 0             # of the last frame
         self._warned = {}           # reason -> when
         self._reported = Counter()  # drops that were warned of
@@ -110,7 +118,12 @@ class Worker(threading.Thread):
         """End the thread after the frame that it is at."""
         self._ending = True
         self._wake()
-        self.join()
+        while self.is_alive() and not self.ready.is_set():      # compiling takes up to 20 s
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(self.ident),
+                                                       ctypes.py_object(_Stopped))
+            self.join(0.1)
+        if self.ident is not None:
+            self.join()
         while not self._calls.empty():
             self._calls.get()[0].set_exception(PersemError('the node is shutting down'))
         self.refiner.close()
@@ -118,15 +131,20 @@ class Worker(threading.Thread):
 
     def run(self):
         """Work until stopped; whatever goes wrong is logged and counted."""
-        with Announcement():
-            self._guarded(warm_up)
-        self.ready.set()
-        while not self._ending:
-            item = self.inbox.get(TICK)
-            self._guarded(self._step, item)
+        try:
+            with Announcement():
+                self._guarded(warm_up)
+            self.ready.set()
+            log.info('ready')
+            while not self._ending:
+                item = self.inbox.get(TICK)
+                self._guarded(self._step, item)
+        except _Stopped:
+            pass
 
     def configure(self, config):
         """Go on with other settings, between two frames."""
+        self._unrefined |= config.refine != self.config.refine
         self.pipeline.config = config
         self.intake.configure(config)
         self.inbox.configure(config.sync)
@@ -135,6 +153,7 @@ class Worker(threading.Thread):
         """Go on with another map; None: an empty one."""
         self.pipeline = Pipeline(self.config, memory)
         self._stale = {'map', 'changes'}
+        self._unrefined = memory is not None
 
     def reset(self):
         """Forget the map and whatever waits; return how many voxels there were."""
@@ -168,8 +187,9 @@ class Worker(threading.Thread):
     def _lost(self, item):
         reason = QUEUE_FULL if item.input.role == 'labels' else f'{item.input.role}: {QUEUE_FULL}'
         self.statistics.dropped[reason] += 1
-        self.complain(reason, f'{item.input.name}: images come faster than they are mapped, the '
-                      'oldest are dropped; a larger memory.stride or memory.voxel_size is faster')
+        self.complain(reason, f'{item.input.listened}: images come faster than they are mapped, '
+                      'the oldest are dropped; a larger memory.stride or memory.voxel_size is '
+                      'faster')
 
     @property
     def _position(self):
@@ -185,7 +205,7 @@ class Worker(threading.Thread):
         try:
             function(*arguments)
         except Exception as error:      # noqa: B902
-            if self._ending or not self._alive():
+            if self._ending:
                 return
             reason = f'internal error: {type(error).__name__}'
             self.statistics.dropped[reason] += 1
@@ -205,9 +225,9 @@ class Worker(threading.Thread):
         if self.refiner.finish(self.memory):
             self._stale |= {'map', 'changes'}
         self._forget_far()
-        self.refiner.begin(self.memory, self.config.refine)
-        if self.inbox.bytes == 0:       # nothing is late for the map's sake
-            self._publish_map()
+        if self.refiner.begin(self.memory, self.config.refine, self._unrefined):
+            self._unrefined = False
+        self._publish_map()
 
     def _take(self, item):
         for taker in item.input.takers:
@@ -228,6 +248,7 @@ class Worker(threading.Thread):
             outputs.publish(wanted, frame, labels, lambda: self._sources(frame, observations))
         if observations is not None:
             self._stale.add('map')
+            self._unrefined = True
         self.statistics.frame((time.monotonic_ns() - now) / 1e9)
 
     def _forget_far(self):
@@ -258,41 +279,68 @@ class Worker(threading.Thread):
 
     def _report(self, item):
         """Warn of what was dropped since the last time."""
-        dropped = self.statistics.dropped
+        dropped = self.statistics.losses()
         if dropped.total() == self._reported.total():
             return
         self.intake.explain()
         for reason in dropped - self._reported:
             if not reason.startswith('internal') and reason != 'frame refused':
                 self._warn(reason, item)
-        self._reported = dropped.copy()
+        self._reported = dropped
 
     def _warn(self, reason, item):
         """Warn of messages dropped for a reason; *item* came last."""
         role = reason.partition(':')[0] if ':' in reason else 'labels'
-        names = [one.name for one in self.inputs if one.role == role] or [role]
+        names = [one.listened for one in self.inputs if one.role == role] or [role]
         stamp = item.input.stamp_of(item.data) if item is not None else None
         at = '' if stamp is None else f' near {stamp / 1e9:.3f} s'
-        example = self.intake.examples.get(reason, '')
+        example = self._overloaded() if reason == BEHIND else \
+            self.intake.examples.get(reason, '')
+        if reason == NO_DEPTH:
+            example += self._lost_depth()
         self.complain(reason, f'{names[0]}{at}: dropped, {reason}'
                       + (f'; {example}' if example and example != reason else ''))
 
+    def _overloaded(self):
+        """Return what to do where frames come faster than they are mapped."""
+        return (f'frames come faster than they are mapped ({self.statistics.frame_rate():.1f} Hz '
+                'now), those that waited for long are left out so that images and map stay '
+                'young; --set memory.stride=2 or a larger memory.voxel_size makes a frame cheaper')
+
+    def _lost_depth(self):
+        """Return what the numbers of label and depth images say, '' where they are equal."""
+        few = self.intake.few_depths()
+        depth = next((one for one in self.inputs if one.role == DEPTH and one.subscriptions), None)
+        if few is None or depth is None:
+            return ''
+        return (f'; {few[0]} depth images came for {few[1]} label images, the others were lost '
+                f'on the way: {remedy(depth)}')
+
     def _publish_map(self):
         """Hand the map to its publishers when somebody listens and it is time."""
-        if self.map.busy or not self._stale:
+        now = time.monotonic()
+        if self.map.busy or now - self._looked < LOOK:
             return
-        wanted = self.map.wanted()
-        if 'changes' in self._listening - wanted:
+        self._looked = now
+        wanted, new = self.map.wanted()
+        self._stale |= new & {'map'}
+        if 'changes' in wanted - self._listening:   # whoever comes first is told everything
             self.map.forget()
+            self._stale.add('changes')
         self._listening = wanted
         due = wanted & self._stale
-        rate, now = self.config.map.rate, time.monotonic()
+        rate = self.config.map.rate
         if not rate or now - self._mapped < 1.0 / rate:
             due.discard('map')
-        if not due:
+        if self.inbox.bytes and now - self._changed < CHANGES:      # nothing is late for them
+            due.discard('changes')
+        if not due or not self.memory.n_voxels and not self._shown:
             return
         if 'map' in due:
             self._mapped = now
+        if 'changes' in due:
+            self._changed = now
+        self._shown = True
         self._stale -= due
         if self.memory.frames:
             self._stamp = self.memory.frames[-1].stamp

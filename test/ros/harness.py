@@ -38,6 +38,11 @@ def until(condition, what, timeout=LONG, step=0.02):
     raise AssertionError(f'not within {timeout:.0f} s: {what() if callable(what) else what}')
 
 
+def _interruptible():
+    """Let SIGINT reach a child also where a shell has started us in the background."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 class Process:
     """
     A command in a process group of its own, with its output in a file.
@@ -56,7 +61,7 @@ class Process:
         with open(log, 'wb') as out:
             self._process = subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT,
                                              stdin=subprocess.DEVNULL, env=env,
-                                             start_new_session=True)
+                                             start_new_session=True, preexec_fn=_interruptible)
 
     @property
     def output(self):

@@ -108,7 +108,7 @@ class PoseBuffer:
     def __init__(self, config, keep=60.0, strict=False):
         """Start empty."""
         self.notes = {}
-        self._strict = strict
+        self._strict, self._astray = strict, True
         self._map = config.frames.map
         self.configure(config.pose)
         self._keep = round(keep * 1e9)
@@ -188,12 +188,18 @@ class PoseBuffer:
         if found.T is None:
             return found
         above = self._above(self._poses.parent, stamp)
+        mount = self._mount(self.child, frame)
+        self._astray = mount is None or self._poses.parent not in ('', self._map)
         if above.T is None:
             return above
-        mount = self._mount(self.child, frame)
         if mount is None:
             return Lookup(None, False, NO_MOUNT)
         return Lookup(above.T @ found.T @ mount, mount=mount)
+
+    @property
+    def needs_tf(self) -> bool:
+        """Return whether /tf may have to say where the poses are: not once they have led home."""
+        return self._settings.source == 'tf' or self._astray
 
     def newest(self, frame: str) -> int | None:
         """Return the largest stamp that came last on the way to *frame*, ns; None: none."""

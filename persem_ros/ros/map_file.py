@@ -1,0 +1,225 @@
+"""The map file of a node: when it is read, what may take its place, one save at a time."""
+
+from collections.abc import Callable
+import logging
+import os
+from pathlib import Path
+import tempfile
+import threading
+import time
+from typing import Any, NamedTuple
+
+from persem_ros.core.memory.dump import dump, MemoryDump
+from persem_ros.core.memory.voxel_memory import VoxelMemory
+from persem_ros.errors import PersemError
+from persem_ros.outputs.map import store
+from persem_ros.settings.config import Config
+from persem_ros.settings.legend import Legend
+
+log = logging.getLogger(__name__)
+
+
+class _Held(NamedTuple):
+    """A file whose content is part of a map."""
+
+    file: tuple[int, ...]       # which one, by _identity
+    memory: VoxelMemory
+    forgotten: int              # voxels that the map had let go by then
+
+
+class MapFile:
+    """
+    Loads and saves the map of a node.
+
+    A save never replaces a file by a map that does not contain it: neither by an empty one nor by
+    one that began without it, was reset, or has let go of voxels since. Such a file is moved
+    aside first, under its name and the date.
+
+    Parameters
+    ----------
+    forgotten : callable
+        forgotten() gives how many voxels the map has let go of.
+    legend : callable
+        legend() gives the Legend in force.
+
+    """
+
+    def __init__(self, forgotten: Callable[[], int], legend: Callable[[], Legend]) -> None:
+        self._forgotten, self._legend = forgotten, legend
+        self._saving = threading.Lock()
+        self._held: dict[Path, _Held] = {}
+
+    def begin(self, config: Config) -> VoxelMemory | None:
+        """
+        Return the memory of map.path where map.load asks for it, else None.
+
+        Says at the start what a save at the end would do, and refuses what it could not do.
+
+        """
+        problem = unusable(config)
+        if problem:
+            raise PersemError(problem)
+        if not config.map.path:
+            return None
+        path = path_of(config)
+        if not config.map.save and not_writable(path):
+            log.warning('%s: ~/save_map will fail', not_writable(path))
+        if config.map.load and not (config.map.save and not path.exists()):
+            return self.load(config)
+        if config.map.load:
+            log.info('%s does not exist yet: an empty map begins', path)
+        elif path.exists():
+            log.warning('%s holds a map already, which this run does not go on with; a save moves '
+                        'it aside to %s.<date> first; to go on with it: --set map.load=true',
+                        path, path.name)
+        return None
+
+    def load(self, config: Config) -> VoxelMemory:
+        """Return the memory of map.path, in a new session."""
+        path = path_of(config)
+        file = _identity(path)
+        stored = store.load(path)
+        memory = stored.memory(config)
+        memory.new_session()
+        if file is not None and not _shortened(stored.saved, config.memory.max_history):
+            self._held[path] = _Held(file, memory, self._forgotten())
+        return memory
+
+    def save(self, config: Config, copy: Callable[[], tuple[MemoryDump, VoxelMemory, int]]
+             ) -> str:
+        """
+        Save to map.path; who calls meanwhile waits. Return what was done, in one sentence.
+
+        Parameters
+        ----------
+        config : Config
+        copy : callable
+            copy() gives `copied` of the memory, at one moment.
+
+        """
+        path = path_of(config)
+        with self._saving:
+            saved, memory, forgotten = copy()
+            if not len(saved.cell):
+                keeps = f', {path} stays as it is' if path.exists() else ''
+                raise PersemError(f'the map is empty, nothing was saved{keeps}')
+            aside = None if self._contains(path, memory, forgotten) else _second_name(path)
+            try:
+                store.save(path, saved, config, self._legend())
+            except BaseException:
+                if aside is not None:
+                    _take_back(aside, path)
+                raise
+            file = _identity(path)
+            if file is not None:
+                self._held[path] = _Held(file, memory, forgotten)
+        kept = f'; what was there is now {aside}' if aside is not None else ''
+        return f'saved {len(saved.cell)} voxels to {path}{kept}'
+
+    def copied(self, memory: VoxelMemory) -> tuple[MemoryDump, VoxelMemory, int]:
+        """Return a dump of the memory, the memory and what it had let go of by now."""
+        return dump(memory), memory, self._forgotten()
+
+    def end(self, config: Config, memory: VoxelMemory, mapped: bool) -> bool:
+        """Save at the end where map.save asks for it; return whether that went well."""
+        if not config.map.save:
+            return True
+        path = config.map.path
+        if not mapped or not memory.n_voxels:
+            log.info('nothing was mapped, so nothing is saved%s',
+                     f'; {path} stays as it is' if path and path_of(config).exists() else '')
+            return True
+        try:
+            log.info('%s', self.save(config, lambda: self.copied(memory)))
+        except PersemError as error:
+            log.error('%s', error)
+            return False
+        return True
+
+    def _contains(self, path: Path, memory: VoxelMemory, forgotten: int) -> bool:
+        """Whether nothing is lost when *memory* takes the place of the file *path*."""
+        file = _identity(path)
+        held = self._held.get(path)
+        return file is None or held is not None and held.file == file \
+            and held.memory is memory and held.forgotten == forgotten
+
+
+def path_of(config: Config) -> Path:
+    """Return the absolute path of map.path; refuse an empty one."""
+    if not config.map.path:
+        raise PersemError('map.path is empty; name a file: ros2 param set <node> map.path '
+                          '/absolute/path/map.persem')
+    return Path(config.map.path).expanduser().absolute()
+
+
+def unusable(config: Config) -> str:
+    """Return why map.save could not be done at the end, '' where it can."""
+    if not config.map.save:
+        return ''
+    if not config.map.path:
+        return 'map.save needs a file: --set map.path=/absolute/path/map.persem'
+    problem = not_writable(path_of(config))
+    return f'{problem}; map.save needs a file that can be written: --set map.path=' \
+           '/absolute/path/map.persem' if problem else ''
+
+
+def not_writable(path: Path) -> str:
+    """Return why a file could not be written, '' where it can be; nothing is left behind."""
+    if path.is_dir():
+        return f'{path} is a folder'
+    folder = path.parent
+    while not os.path.lexists(folder):
+        folder = folder.parent
+    if not folder.is_dir():
+        return f'{path} cannot be written: {folder} is not a folder'
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            return ''
+    except OSError as error:
+        return f'{path} cannot be written ({folder}: {error.strerror or error})'
+
+
+def _identity(path: Path) -> tuple[int, ...] | None:
+    """Return which file *path* is and in which state, None where there is none."""
+    try:
+        found = os.stat(path)
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
+
+
+def _shortened(saved: Any, max_history: int) -> bool:
+    """Whether a map that goes on with *max_history* lets go of observations that are stored."""
+    stored = saved.history_start[1:] - saved.history_start[:-1]
+    return bool(max_history and len(stored) and stored.max() > max_history)
+
+
+def _second_name(path: Path) -> Path:
+    """
+    Give the file *path* a second name with the date; return it.
+
+    The file keeps its own name until another takes it, so that it is never without one.
+
+    """
+    name = f'{path.name}.{time.strftime("%Y-%m-%dT%H-%M-%S")}'
+    aside, number = path.with_name(name), 1
+    while os.path.lexists(aside):
+        number += 1
+        aside = path.with_name(f'{name}_{number}')
+    try:
+        try:
+            os.link(path, aside)
+        except OSError:         # a file system without second names
+            os.rename(path, aside)
+    except OSError as error:
+        raise PersemError(f'{path} cannot be moved aside to {aside.name} '
+                          f'({error.strerror or error}); nothing was saved') from error
+    return aside
+
+
+def _take_back(aside: Path, path: Path) -> None:
+    """Undo `_second_name`."""
+    if path.exists():
+        aside.unlink()
+    else:
+        os.rename(aside, path)
