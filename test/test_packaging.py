@@ -11,6 +11,7 @@ import sys
 from xml.etree import ElementTree
 
 from persem_ros import __version__
+from persem_ros.errors import missing, NEEDED
 import pytest
 import setuptools
 
@@ -82,6 +83,35 @@ def test_ros_dependencies_cover_the_imports_of_the_node(package_xml):
                 for name in re.findall(r'^\s*(?:from|import) (rclpy|\w+_msgs|std_srvs|tf2_\w+)\b',
                                        path.read_text(), re.MULTILINE)}
     assert imported | {'rclpy'} <= declared
+
+
+@pytest.mark.parametrize('name', ['README.md', 'CONTRIBUTING.md'])
+def test_what_pip_installs_beside_ros_is_said_alike(name):
+    assert f'pip install {NEEDED}\n' in (ROOT / name).read_text()
+
+
+def test_what_pip_installs_beside_ros_is_all_that_the_node_needs(setup_arguments):
+    required = {re.split('[<>=;]', item)[0] for item in setup_arguments['install_requires']}
+    simulation = {'trimesh', 'embreex'}
+    assert {re.split('[<>=]', word)[0].strip('"') for word in NEEDED.split()} | simulation >= \
+        required
+
+
+@pytest.mark.parametrize('error, words', [
+    (ModuleNotFoundError("No module named 'numba'", name='numba'), 'package numba is missing'),
+    (ModuleNotFoundError("No module named 'cv2'", name='cv2'),
+     'package opencv-python-headless is missing'),
+    (ModuleNotFoundError("No module named 'rclpy'", name='rclpy'), 'source /opt/ros/jazzy'),
+    (ImportError('numpy.core.multiarray failed to import'), 'does not fit the others')])
+def test_a_missing_package_is_one_sentence_with_what_to_type(error, words):
+    sentence = missing(error)
+    assert words in sentence and '\n' not in sentence
+    assert NEEDED in sentence or 'source' in sentence
+
+
+def test_a_module_of_ours_that_is_missing_is_a_defect():
+    with pytest.raises(ModuleNotFoundError):
+        missing(ModuleNotFoundError('gone', name='persem_ros.gone'))
 
 
 def test_an_installation_is_whole(tmp_path):

@@ -3,6 +3,7 @@
 import socket
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from persem_ros.preflight.findings import REFUSE
 from persem_ros.ros.inputs import TF_STATIC
 
 
@@ -25,12 +26,12 @@ class Diagnostics:
         self._out = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._counts, self._dropped = {}, 0
         # As diagnostic_updater has it: node, then task; several robots share the topic.
-        self._name = f'{node.get_fully_qualified_name().lstrip("/")}: mapping'
+        self._name = node.get_fully_qualified_name().lstrip('/')
         self._hardware = f'{socket.gethostname()}{node.get_namespace()}'.rstrip('/')
 
     def publish(self, silent=''):
         """Publish the state; *silent* is what the watchdog has warned of, '' for nothing."""
-        array = DiagnosticArray(status=[self.status(silent)])
+        array = DiagnosticArray(status=[self.status(silent), self.preflight()])
         array.header.stamp = self._node.get_clock().now().to_msg()
         self._out.publish(array)
 
@@ -65,8 +66,23 @@ class Diagnostics:
         level, message = self._verdict(dropped, silent)
         self._dropped = dropped
         return DiagnosticStatus(
-            level=level, name=self._name, message=message, hardware_id=self._hardware,
+            level=level, name=f'{self._name}: mapping', message=message,
+            hardware_id=self._hardware,
             values=[KeyValue(key=k, value=str(v)) for k, v in values.items()])
+
+    def preflight(self):
+        """Return the DiagnosticStatus of what the look at the first messages has found."""
+        look = self._worker.first_look
+        found = list(look.findings)
+        levels = [DiagnosticStatus.ERROR if finding.severity == REFUSE else DiagnosticStatus.WARN
+                  for finding in found]
+        message = f'{len(found)} findings' if found else \
+            'nothing found' if look.done else 'waiting for the first messages'
+        return DiagnosticStatus(
+            level=max(levels, default=DiagnosticStatus.OK), name=f'{self._name}: preflight',
+            message=message, hardware_id=self._hardware,
+            values=[KeyValue(key=f'{number} {finding.severity}', value=finding.text(live=True))
+                    for number, finding in enumerate(found, 1)])
 
     def _verdict(self, dropped, silent):
         """Return level and message."""

@@ -118,6 +118,7 @@ class Inputs:
         self._node, self._config, self._inbox = node, config, inbox
         self._buffers = {}
         self._infos = {}
+        self.stations = {}      # by camera
         self._colored = False
         self.all = []
         for camera in [name for name in config.cameras if name] or ['']:
@@ -205,7 +206,7 @@ class Inputs:
             else:
                 kinds = [POSES[pose.type]] if pose.type in POSES else list(POSES.values())
                 self._add(POSE, name, [buffer], kinds, qos.pose, small)
-        station = intake.add_camera(camera, self._buffers[name], (COLOR,))
+        station = self.stations[camera] = intake.add_camera(camera, self._buffers[name], (COLOR,))
         for role in (LABELS, DEPTH, COLOR):
             name = getattr(topics, role)
             self._add(role, name, [station], [Image, CompressedImage], getattr(qos, role),

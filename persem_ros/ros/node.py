@@ -10,6 +10,7 @@ from persem_ros.inputs.live import LiveIntake
 from persem_ros.ros.counters import Statistics
 from persem_ros.ros.diagnostics import Diagnostics
 from persem_ros.ros.ending import Ending
+from persem_ros.ros.first_look import FirstLook
 from persem_ros.ros.images import ImageOutputs
 from persem_ros.ros.inbox import Inbox
 from persem_ros.ros.inputs import check_topics, Inputs
@@ -56,13 +57,15 @@ class Mapper(Node):
         self.map_file = MapFile(lambda: self.statistics.forgotten, lambda: self.legend)
         self.worker = Worker(config, self.statistics, self.map_file.begin(config))
         self.inbox = Inbox(config.sync, self.worker.lost)
-        self.intake = LiveIntake(config, Decoder(), self.statistics.dropped, self.worker.jumped,
+        decode = Decoder()
+        self.intake = LiveIntake(config, decode, self.statistics.dropped, self.worker.jumped,
                                  lambda: self.get_clock().now().nanoseconds)
         self.maps = MapOutputs(self, config.frames.map, self.colors)
         cameras = [name for name in config.cameras if name] or ['']
         images = {name: ImageOutputs(self, name, self.colors) for name in cameras}
         self.inputs = Inputs(self, config, self.intake, self.inbox)
-        self.worker.connect(self.inbox, self.intake, images, self.maps, self.inputs.all)
+        self.worker.connect(self.inbox, self.intake, images, self.maps, self.inputs.all,
+                            FirstLook(self.inputs.stations, decode))
         self.triggers = Services(self, self.worker, self.map_file)
         self._watchdog = Watchdog(self.inputs, self.statistics)
         self._losses = Losses(self.inputs.all)

@@ -73,7 +73,7 @@ class Worker(threading.Thread):
         self._warned = {}           # reason -> when
         self._reported = Counter()  # drops that were warned of
 
-    def connect(self, inbox, intake, images, maps, inputs):
+    def connect(self, inbox, intake, images, maps, inputs, first_look):
         """
         Say where messages come from and results go, before the start.
 
@@ -89,10 +89,12 @@ class Worker(threading.Thread):
             The map.
         inputs : list of persem_ros.ros.inputs.Input
             The topics, for warnings that name them.
+        first_look : persem_ros.ros.first_look.FirstLook
+            Checks what comes first.
 
         """
         self.inbox, self.intake, self.images, self.map = inbox, intake, images, maps
-        self.inputs = inputs
+        self.inputs, self.first_look = inputs, first_look
 
     @property
     def config(self):
@@ -232,6 +234,9 @@ class Worker(threading.Thread):
     def _take(self, item):
         for taker in item.input.takers:
             self.intake.take(item.input.role, taker, item.kind, item.arrival, item.data)
+        if not self.first_look.done:
+            self.first_look.take(item)
+            self.first_look.look(self.config, self.inputs)
 
     def _frame(self, frame, now):
         """Integrate one frame, publish what is wanted of it."""

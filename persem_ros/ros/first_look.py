@@ -1,0 +1,100 @@
+"""The preflight of a node: the checks of a replay, over the first messages that arrive."""
+
+from collections.abc import Callable
+import logging
+from typing import Any
+
+import numpy as np
+
+from persem_ros.inputs.decode import messages
+from persem_ros.inputs.decode.messages import BadMessage
+from persem_ros.inputs.intake import INFO, POSE, Station
+from persem_ros.inputs.sync.pairing import DEPTH, LABELS
+from persem_ros.preflight.findings import Finding, NOTE, REFUSE
+from persem_ros.preflight.look import look
+from persem_ros.preflight.sample import Sample, View
+from persem_ros.ros.inbox import Item
+from persem_ros.ros.inputs import Input
+from persem_ros.settings.config import Config
+
+log = logging.getLogger(__name__)
+FIRSTS = 3          # messages of a role that are decoded to judge it
+ENOUGH = 20         # label images whose stamps are compared
+ROLES = (LABELS, DEPTH, INFO, POSE)
+
+
+class FirstLook:
+    """
+    Looks once, when enough has come, and says what it finds; all of it on the worker's thread.
+
+    Parameters
+    ----------
+    stations : dict of str to Station
+        The cameras, by name.
+    decode : callable
+        decode(data, typename) gives a message.
+
+    Attributes
+    ----------
+    findings : list of Finding
+        What was found.
+    done : bool
+        Whether it has looked.
+
+    """
+
+    def __init__(self, stations: dict[str, Station], decode: Callable[[bytes, str], Any]) -> None:
+        """Begin to collect."""
+        self._stations, self._decode = stations, decode
+        self._seen: dict[Input, list[Item]] = {}
+        self.findings: list[Finding] = []
+        self.done = False
+
+    def take(self, item: Item) -> None:
+        """Keep what a message tells, as long as it is one of the first."""
+        if self.done or item.input.role not in ROLES:
+            return
+        kept = self._seen.setdefault(item.input, [])
+        if len(kept) < FIRSTS:
+            kept.append(item)
+        elif len(kept) < 50 * ENOUGH:       # stamps are enough of the others
+            kept.append(item._replace(data=item.data[:512]))
+
+    def look(self, config: Config, inputs: list[Input]) -> None:
+        """Look where enough has come."""
+        if self.done or not all(self._enough(one) for one in inputs if one.role in ROLES):
+            return
+        self.done = True
+        views = [self._view(name, station, inputs) for name, station in self._stations.items()]
+        self.findings = look(Sample(config, views, live=True))
+        self._seen.clear()
+        for finding in self.findings:
+            say = {REFUSE: log.error, NOTE: log.info}.get(finding.severity, log.warning)
+            say('%s', finding.text(live=True))
+
+    def _enough(self, one: Input) -> bool:
+        return len(self._seen.get(one, ())) >= (ENOUGH if one.role == LABELS else 1)
+
+    def _view(self, name: str, station: Station, inputs: list[Input]) -> View:
+        own = {one.role: one for one in inputs
+               if one.role in ROLES and (station in one.takers or station.poses in one.takers)}
+        items = {role: self._seen[one] for role, one in own.items()}
+        stamps = {role: [(stamp, item.arrival) for item in found
+                         if (stamp := item.input.stamp_of(item.data)) is not None]
+                  for role, found in items.items()}
+        return View(name, {role: one.listened for role, one in own.items()},
+                    {role: self._decoded(found) for role, found in items.items()},
+                    {role: np.array([s for s, _ in rows], np.int64)
+                     for role, rows in stamps.items()},
+                    {role: np.array([at for _, at in rows], np.int64)
+                     for role, rows in stamps.items()}, station.poses)
+
+    def _decoded(self, items: list[Item]) -> list[Any]:
+        found = []
+        for item in items[:FIRSTS]:
+            try:
+                found.append(self._decode(item.data, item.kind))
+                messages.stamp_ns(found[-1])
+            except BadMessage:
+                continue
+        return found
