@@ -211,7 +211,7 @@ class Replay:
         write_json(self.folder / 'timing.json', self.timing)
         for watcher in self.watchers:
             watcher.finish(self, result)
-        for note in (*self.recording.notes, *self.advice.sentences(memory.seen_ids)):
+        for note in (*self.recording.unsaid, *self.advice.sentences(memory.seen_ids)):
             log.warning(note)
         return result
 

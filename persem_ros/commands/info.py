@@ -1,6 +1,6 @@
 """persem info: what is in a recording and what a replay would use of it."""
 
-from persem_ros.commands import add_settings
+from persem_ros.commands import add_excerpt, add_settings
 
 
 def add_parser(subparsers):
@@ -10,7 +10,9 @@ def add_parser(subparsers):
         description='Lists topics, types, counts, rates, encodings, sizes, frames and stamps of '
                     'a rosbag2 recording, which of them a replay would use, and what is missing, '
                     'as flags to paste. The exit status is 1 when something needed is missing.')
-    parser.add_argument('bag', metavar='BAG', help='rosbag2 folder, .mcap or .db3 file')
+    parser.add_argument('bag', metavar='BAG', help='rosbag2 folder, .mcap or .db3 file; A+B is '
+                                                   'one input in two recordings')
+    add_excerpt(parser)
     add_settings(parser)
     parser.set_defaults(run=run)
 
@@ -21,9 +23,12 @@ def run(args):
 
     from tqdm import tqdm
 
+    from persem_ros.commands import excerpt_of
+    from persem_ros.inputs.recording.excerpt import WHOLE
     from persem_ros.settings import config_file
     from persem_ros.preflight import contents, contents_text, recorded
     from persem_ros.preflight.findings import of_severity, REFUSE
+    from persem_ros.preflight.files import part
     from persem_ros.preflight.look import look, takes_of
     from persem_ros.preflight.stamps import usable
     from persem_ros.inputs.recording.source import Source
@@ -41,9 +46,13 @@ def run(args):
             sample = recorded.sample(source, choice, config)
             found = look(sample)
             counts = [usable(view, sample) for view in sample.views]
+        excerpt = excerpt_of(args)
+        if excerpt != WHOLE and not choice.problems and not of_severity(found, REFUSE):
+            found.append(part(source, sample.config, excerpt))
         lacking = choice.problems + [f.text() for f in of_severity(found, REFUSE)]
         words = [word for item in args.set_items for word in ('--set', item)]
         words += ['--config', args.config] if args.config else []
         words += [word for item in takes_of(found).items() for word in ('--set', '='.join(item))]
+        words = excerpt.words() + words
         print(contents_text.text(source, rows, choice, lacking, found, counts, words), end='')
     return 1 if lacking else 0

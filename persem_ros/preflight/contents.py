@@ -4,11 +4,11 @@ from dataclasses import dataclass, field
 
 from persem_ros.inputs.decode import messages
 from persem_ros.inputs.decode.messages import BadMessage
+from persem_ros.inputs.recording.stamps import stamp_of
 from persem_ros.inputs.recording.topics import COMPRESSED, IMAGE, INFO, POSES, TF, TRIED
 
 HEADERS = {IMAGE, COMPRESSED, INFO, *POSES.values()}
 SHORTEST = 10**8             # ns; latched messages come in a burst, which is no rate
-LONGEST_HEADER = 1024
 
 
 @dataclass
@@ -62,7 +62,7 @@ class Row:
 
 def survey(source, progress=iter):
     """
-    Read a whole recording without decoding its images.
+    Walk over a whole recording without reading its images.
 
     Parameters
     ----------
@@ -79,23 +79,13 @@ def survey(source, progress=iter):
     """
     rows = {(t.name, t.msgtype): Row(t.name, t.msgtype) for t in source.topics}
     names = {t.name for t in source.topics}
-    for name, kind, time, data in progress(source.messages(names)):
-        row = rows[name, kind]
-        row.see(_stamp(kind, data) if row.stamped else time)
-        row.recorded = time if row.recorded is None else min(row.recorded, time)
+    for head in progress(source.heads(names)):
+        row = rows[head.topic, head.msgtype]
+        row.see(stamp_of(head.msgtype, head.start) if row.stamped else head.time)
+        row.recorded = head.time if row.recorded is None else min(row.recorded, head.time)
         if row.tried < TRIED:
-            _try_to_describe(row, source, data)
+            _try_to_describe(row, source, source.read(head.file, head.place))
     return list(rows.values())
-
-
-def _stamp(kind, data):
-    """Return the stamp in a serialized message, None where it has none."""
-    # A TFMessage begins with the number of its transforms, each of which begins with a header.
-    data = data if kind in HEADERS else data[:4] + data[8:8 + LONGEST_HEADER]
-    try:
-        return messages.header(data)[0]
-    except BadMessage:
-        return None
 
 
 def _try_to_describe(row, source, data):

@@ -89,9 +89,18 @@ def opened(path: str | Path, config: Config, quiet: bool = False,
         if not quiet:
             say(found)
         recording = Recording(path, sample.config, source, excerpt)
-        if excerpt != WHOLE and not quiet:
-            log.info('%s', excerpt.sentence(recording.bounds))
+        if not quiet:
+            _say_of_files(recording)
         return recording
     except BaseException:
         source.close()
         raise
+
+
+def _say_of_files(recording: Recording) -> None:
+    """Log what is known of the files before they are read, and which part is used."""
+    recording.said = set(recording.notes)
+    for note in recording.notes:
+        log.warning('%s', note)
+    if recording.excerpt != WHOLE:
+        log.info('%s', recording.excerpt.sentence(recording.bounds))

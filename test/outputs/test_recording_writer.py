@@ -311,3 +311,15 @@ def test_an_unknown_pose_type_names_the_known_ones(tmp_path):
     with pytest.raises(PersemError, match='expected PoseStamped'), \
             RecordingWriter(tmp_path / 'r') as out:
         out.pose('pose', STAMP, 'map', T, 'Pose')
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+def test_metadata_is_of_a_form_that_humble_reads(tmp_path, storage):
+    """Before Jazzy, QoS profiles are one text of numbers: a YAML list ends the reader there."""
+    with RecordingWriter(tmp_path / 'bag', storage=storage) as out:
+        out.text('legend', 'x', latched=True, stamp=5)
+    info = yaml.safe_load((tmp_path / 'bag' / 'metadata.yaml').read_text())
+    info = info['rosbag2_bagfile_information']
+    profiles = info['topics_with_message_count'][0]['topic_metadata']['offered_qos_profiles']
+    assert info['version'] == 8 and isinstance(profiles, str)
+    assert yaml.safe_load(profiles)[0]['durability'] == 1       # transient local

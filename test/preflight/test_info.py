@@ -158,3 +158,13 @@ def test_standard_error_is_quiet(tmp_path):
     done = subprocess.run([sys.executable, '-m', 'persem_ros', 'info', str(path)],
                           capture_output=True, text=True, check=True)
     assert done.stderr == '' and 'usable' in done.stdout
+
+
+def test_a_part_of_a_recording(tmp_path, capsys):
+    path = bags.write(tmp_path / 'bag')
+    status, out = report(capsys, path, '--start', '0.2', '--every', '2')
+    assert status == 0 and 'from 1700000000.200000000 s (--start 0.2, seconds after' in out
+    assert ': 2 label images' in out
+    assert f'usable: persem replay {path} --out DIR --start 0.2 --every 2' in out
+    status, out = report(capsys, path, '--start', '9')
+    assert status == 1 and 'no label image lies within --start 9' in out

@@ -43,6 +43,8 @@ class Recording:
         count label images; others start with the kind of message.
     examples : dict of str to str
         One whole sentence for reasons that have one.
+    said : set of str
+        Notes that the user has read.
 
     Raises
     ------
@@ -59,6 +61,7 @@ class Recording:
         self.config = config
         self.dropped = Counter()
         self.examples = {}
+        self.said = set()
         self._notes = {}
         self._index = self._bounds = None
         try:
@@ -162,13 +165,13 @@ class Recording:
             used += 1
             yield frame
         if not used:
-            raise PersemError(self._nothing())
+            raise PersemError(self.nothing())
 
     def note(self, key, text):
         """Keep a sentence for the user, one for each *key*."""
         self._notes[key] = text
 
-    def _nothing(self):
+    def nothing(self):
         """Return the sentence that says why no frame could be made."""
         if self.excerpt != WHOLE and not self.expected:
             names = {chosen['labels'].name for chosen in self.topics.values()}

@@ -71,10 +71,14 @@ class Sessions:
     @property
     def notes(self) -> list[str]:
         """Return what the user should know: sentences."""
-        if len(self.recordings) == 1:
-            return list(self.recordings[0].notes)
-        return [note if recording.name in note else f'{recording.name}: {note}'
+        return [self._named(recording, note)
                 for recording in self.recordings for note in recording.notes]
+
+    @property
+    def unsaid(self) -> list[str]:
+        """Return the notes that the user has not read before the mapping."""
+        return [self._named(recording, note) for recording in self.recordings
+                for note in recording.notes if note not in recording.said]
 
     @property
     def topics(self) -> dict[str, dict[str, TopicInfo]]:
@@ -89,3 +93,8 @@ class Sessions:
     def has(self, kind: str) -> bool:
         """Return whether any recording has the optional topic 'truth' or 'color'."""
         return any(recording.has(kind) for recording in self.recordings)
+
+    def _named(self, recording: Recording, note: str) -> str:
+        """Return a note with the name of its recording, where there are several."""
+        named = len(self.recordings) == 1 or recording.name in note
+        return note if named else f'{recording.name}: {note}'

@@ -15,6 +15,9 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
 
+# Of metadata.yaml. Version 9 only spells QoS profiles in another way, which ROS 2 before Jazzy
+# cannot open; Humble reads 8, and nothing is lost.
+VERSION = 8
 STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
 FILE_ERRORS = (OSError, sqlite3.Error)
 
@@ -66,7 +69,7 @@ class RecordingWriter:
             target.parent.mkdir(parents=True, exist_ok=True)
             # Built under its final name inside a hidden folder: rosbag2 names files after it.
             self._work = Path(tempfile.mkdtemp('.partial', f'.{target.name}.', target.parent))
-            self._writer = Writer(self._work / target.name, version=Writer.VERSION_LATEST,
+            self._writer = Writer(self._work / target.name, version=VERSION,
                                   storage_plugin=STORAGES[self._storage])
             if self._compress:
                 self._writer.set_compression(
