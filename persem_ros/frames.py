@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 IGNORED = -1        # a pixel without a label, wherever labels are int32
 MAX_ID = 65534      # the largest class id
@@ -62,6 +63,24 @@ def same_aspect(size: tuple[float, float], other: tuple[float, float]) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
+class Matching:
+    """
+    Which pixels of a label image and of a depth image show the same place.
+
+    Attributes
+    ----------
+    labels_of : ndarray, shape (h, w), int32
+        For each depth pixel the label pixel, row by row from 0; -1 for none.
+    depth_of : ndarray, shape (H, W), int32
+        For each label pixel the depth pixel; -1 for none.
+
+    """
+
+    labels_of: NDArray[np.int32]
+    depth_of: NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False)
 class Frame:
     """
     One label image with its depth and pose: what the pipeline eats.
@@ -86,6 +105,16 @@ class Frame:
         The label image's header frame.
     encoding : str
         The label image's encoding, which refined images keep.
+    matching : Matching, optional
+        Where label and depth image do not show the same rectangle (cropped, letterboxed, or of
+        two cameras): which of their pixels belong together. None: both show all of it.
+    weights : ndarray, shape (H, W), uint32, optional
+        Confidence of each label in units of 2 ** -16, 0 .. 65536; None: all are certain.
+    points : ndarray, shape (h, w, 3), float64, optional
+        Metres in the sensor's frame, for a labelled cloud: depth is then the distance, and the
+        camera's rays mean nothing. A cloud without rows has h = 1, and no flicker.
+    cloud : object, optional
+        The message that points and labels came from, which refined clouds keep.
     truth : ndarray, shape (H, W), int32, optional
         True ids on the labels' grid.
     color : ndarray, shape (., ., 3), uint8, optional
@@ -104,6 +133,15 @@ class Frame:
     sensor: str = ''
     frame_id: str = ''
     encoding: str = 'mono16'
+    matching: Matching | None = None
+    weights: np.ndarray | None = None
+    points: np.ndarray | None = None
+    cloud: object = None
     truth: np.ndarray | None = None
     color: np.ndarray | None = None
     T_body_camera: np.ndarray | None = None
+
+    @property
+    def has_grid(self) -> bool:
+        """Whether neighbours in the arrays are neighbours in space, as in every image."""
+        return self.points is None or self.labels.shape[0] > 1

@@ -17,6 +17,7 @@ from persem_ros.core.frame.observe import gather
 from persem_ros.core.frame.render import filled, render, voxel_image, voxel_image_of
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine.job import refine
+from persem_ros.frames import UNKNOWN
 
 if TYPE_CHECKING:
     from persem_ros.core.frame.observe import Observations
@@ -47,7 +48,7 @@ class Pipeline:
         offsets = np.empty(frame.depth.size, np.int32)
         return gather(*self._placed(frame, offsets), labels, self.config.memory.min_pixels,
                       frame.stamp, frame.T_map_camera, frame.sensor, offsets,
-                      frame.T_body_camera)
+                      frame.T_body_camera, images.weights(frame))
 
     def add(self, frame: Frame) -> Observations:
         """Integrate a frame; return its Observations."""
@@ -69,8 +70,8 @@ class Pipeline:
         voxels = self.voxel_image(frame, observations)
         image = render(voxels, np.ascontiguousarray(
             self.memory.m.voxels['label'][:self.memory.n_numbers]))
-        return filled(image, frame.labels, self.config.memory, self.config.render.fill,
-                      self.unknown)
+        return filled(images.on_labels(frame, image, UNKNOWN), frame.labels, self.config.memory,
+                      self.config.render.fill, self.unknown)
 
     def voxel_image(
             self, frame: Frame, observations: Observations | None = None) -> NDArray[np.int32]:

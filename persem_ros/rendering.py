@@ -7,10 +7,11 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.frame.images import counted, resampled
+from persem_ros.core.frame.images import counted, on_depth, on_labels
 from persem_ros.core.frame.render import filled, render
 from persem_ros.core.frame.smoothing import EmaImages
 from persem_ros.core.refine.job import label
+from persem_ros.frames import UNKNOWN
 from persem_ros.outputs.results.metrics import valid_pixels
 from persem_ros.settings.config import IMAGE_METHODS
 
@@ -86,8 +87,8 @@ class Renderer:
         """Return the Rendering of a frame; observations save placing its pixels again."""
         config = self.pipeline.config
         voxels = self.pipeline.voxel_image(frame, observations)
-        labels = resampled(frame.labels, frame.depth.shape)
-        truth = None if frame.truth is None else resampled(frame.truth, frame.depth.shape)
+        labels = on_depth(frame, frame.labels)
+        truth = None if frame.truth is None else on_depth(frame, frame.truth)
         own = render(voxels, self._of(config.refine.method))
         moving = _any_of(labels, config.memory.dynamic_labels)
         images = {}
@@ -95,15 +96,16 @@ class Renderer:
             if method == 'raw2d':
                 images[method] = labels
             elif method == 'ema2d':
-                images[method] = self._smoothed(frame.sensor, labels).astype(np.int32)
+                images[method] = self._smoothed(frame.sensor, labels).astype(np.int32) \
+                    if frame.has_grid else labels
             else:
                 image = own if method == config.refine.method else \
                     render(voxels, self._of(method))
                 images[method] = image.astype(np.int32)
                 if moving is not None:
                     np.copyto(images[method], labels, where=moving)
-        published = filled(own, frame.labels, config.memory, config.render.fill,
-                           self.pipeline.unknown)
+        published = filled(on_labels(frame, own, UNKNOWN), frame.labels, config.memory,
+                           config.render.fill, self.pipeline.unknown)
         valid = valid_pixels(labels, frame.depth, config.memory.ignore_labels,
                              config.memory.min_depth, config.memory.max_depth, truth)
         return Rendering(images, voxels, labels, truth, valid, published)

@@ -31,7 +31,7 @@ from persem_ros.preflight.look import opened
 from persem_ros.rendering import Renderer
 from persem_ros.settings import config_file
 from persem_ros.settings.config import Config, IMAGE_METHODS, METHODS, nearest
-from persem_ros.settings.legend import Legend, load_legend
+from persem_ros.settings.legend import Legend
 
 log = logging.getLogger(__name__)
 
@@ -304,13 +304,10 @@ def chosen_methods(methods, config):
 
 def chosen_legend(config, recording):
     """Return the legend of labels.legend, else the recording's, else one of made-up colours."""
-    if config.labels.legend:
-        legend = load_legend(config.labels.legend)
-    elif recording.legend_text:
-        legend = Legend.from_yaml(recording.legend_text, "the recording's legend")
+    text = recording.legend_text        # that of labels.legend where it is set
+    legend = Legend.from_yaml(text, "the recording's legend") if text else Legend()
+    if not config.labels.legend:
         _check_legends(recording, legend)
-    else:
-        legend = Legend()
     return legend.ignoring(config.memory.ignore_labels)
 
 

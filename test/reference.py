@@ -9,6 +9,7 @@ float and t the integer time. Frames: sensor frame for points, map frame for vox
 """
 
 from collections import Counter, defaultdict, namedtuple
+from fractions import Fraction
 from itertools import product
 import math
 
@@ -90,9 +91,9 @@ def voxel_of(point, T, voxel_size, origin=(0.0, 0.0, 0.0)):
     return tuple(voxel)
 
 
-def observe(points, labels, T, voxel_size, min_pixels=1, origin=(0.0, 0.0, 0.0)):
+def observe(points, labels, T, voxel_size, min_pixels=1, origin=(0.0, 0.0, 0.0), weights=None):
     """
-    Section 1: the pixels of a voxel become ONE observation.
+    Sections 1 and 11: the pixels of a voxel become ONE observation.
 
     Parameters
     ----------
@@ -108,6 +109,8 @@ def observe(points, labels, T, voxel_size, min_pixels=1, origin=(0.0, 0.0, 0.0))
         A voxel with fewer counted pixels is not observed.
     origin : (x, y, z)
         Point of the map frame that is subtracted, metres.
+    weights : iterable of float, optional
+        The segmenter's confidence w of each point, 0 .. 1; NaN or 0 (rounded): it does not count.
 
     Returns
     -------
@@ -115,13 +118,17 @@ def observe(points, labels, T, voxel_size, min_pixels=1, origin=(0.0, 0.0, 0.0))
         {voxel: (label, s)}; s is the float32 of the label's share, as a float.
 
     """
-    counts = defaultdict(Counter)
-    for point, label in zip(points, labels):
-        if countable(int(label)) and all(math.isfinite(x) for x in point):
-            counts[voxel_of(point, T, voxel_size, origin)][int(label)] += 1
+    counts, numbers = defaultdict(Counter), Counter()
+    weights = [1.0] * len(labels) if weights is None else weights
+    for point, label, w in zip(points, labels, weights):
+        w = 0 if math.isnan(w) else Fraction(round(min(max(w, 0), 1) * 2 ** 16), 2 ** 16)
+        if countable(int(label)) and all(math.isfinite(x) for x in point) and w > 0:
+            voxel = voxel_of(point, T, voxel_size, origin)
+            counts[voxel][int(label)] += w
+            numbers[voxel] += 1
     result = {}
     for voxel, counter in counts.items():
-        counted = sum(counter.values())
+        counted = numbers[voxel]
         if counted >= min_pixels:
             most = max(counter.values())
             label = min(c for c in counter if counter[c] == most)

@@ -1,18 +1,26 @@
 """Messages of one instant to a Frame; the last step of the way in, live and in a replay."""
 
 from collections import deque
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.frames import Camera, Frame, same_aspect
+from persem_ros.frames import Camera, Frame, Matching, same_aspect
+from persem_ros.inputs import fit
 from persem_ros.inputs.decode import messages
 from persem_ros.inputs.decode.camera import camera, check, content
+from persem_ros.inputs.decode.labels import LabelReader
 from persem_ros.inputs.decode.messages import BadMessage
-from persem_ros.inputs.sync.pairing import COLOR, DEPTH, LABELS, TRUTH
+from persem_ros.inputs.names import renamed
+from persem_ros.inputs.sync.pairing import (
+    COLOR, CONFIDENCE, DEPTH, DEPTH_CONFIDENCE, LABELS, TRUTH)
 from persem_ros.settings.config import Config
+from persem_ros.settings.legend import Legend
 
 CAMERAS_KEPT = 8        # a zoom lens must not fill the memory
 CHANGES_KEPT = 64
+NamesAt = Callable[[int, int], tuple[Legend, NDArray[np.int32] | None]]
 
 
 class Assembler:
@@ -22,20 +30,26 @@ class Assembler:
     Parameters
     ----------
     config : persem_ros.settings.config.Config, optional
-        The settings camera.* and depth.*.
+        The settings camera.*, depth.* and labels.*.
     sensor : str
         The camera's name, '' where there is only one.
+    names_at : callable
+        names_at(stamp, tables) gives what Names.at() does: what ids mean.
 
     """
 
-    def __init__(self, config: Config | None = None, sensor: str = '') -> None:
+    def __init__(self, config: Config | None = None, sensor: str = '',
+                 names_at: NamesAt = lambda stamp, tables: (Legend(), None)) -> None:
         """Start without a camera info."""
         self._infos = deque(maxlen=CHANGES_KEPT)    # (stamp, content, info) at each change
         config = config or Config()
         self._rectified = config.camera.rectified
-        self._depth = config.depth
+        self._depth, self._fit = config.depth, config.labels.fit
+        self._names_at = names_at
+        self.reader, self._truth_reader = LabelReader(config.labels), LabelReader(config.labels)
         self._sensor = sensor
-        self._cameras = {}
+        self._cameras: dict = {}
+        self._matchings: dict = {}
 
     @property
     def frame_id(self):
@@ -79,24 +93,51 @@ class Assembler:
 
         """
         label_msg, depth_msg = decoded[LABELS], decoded[DEPTH]
-        labels, encoding = _named(LABELS, messages.labels, label_msg)
+        legend, new = self._names_at(match.stamp, getattr(match.items.get(LABELS), 'tables', 0))
+
+        def ids(msg, reader=self.reader):
+            found, encoding = reader(msg, legend)
+            return renamed(found, new), encoding
+
+        labels, encoding = _named(LABELS, ids, label_msg)
         depth = _named(DEPTH, self.depth, depth_msg)
-        if not same_aspect(labels.shape[::-1], depth.shape[::-1]):
-            raise BadMessage('labels and depth differ in shape',
-                             f'a label image has the size {labels.shape[1]} x {labels.shape[0]}, '
-                             f'its depth image {depth.shape[1]} x {depth.shape[0]}, expected one '
-                             'aspect ratio')
+        matching = self._matching(labels.shape, depth.shape)
         view = self._seen(depth_msg, depth)
+        self._distrust(depth, decoded.get(DEPTH_CONFIDENCE))
         companions, faults = {}, []
-        for kind, read in ((TRUTH, _truth_like(labels)), (COLOR, messages.color)):
+        truth_of = partial(ids, reader=self._truth_reader)
+        for kind, read in ((TRUTH, _truth_like(labels, truth_of)), (COLOR, messages.color)):
             if kind in decoded:
                 try:
                     companions[kind] = _named(kind, read, decoded[kind])
                 except BadMessage as fault:
                     faults.append(fault)
         return Frame(match.stamp, labels, depth, view, match.T_map_camera, self._sensor,
-                     messages.frame_id(label_msg), encoding, T_body_camera=match.T_body_camera,
-                     **companions), faults
+                     messages.frame_id(label_msg), _wide(encoding, new), matching=matching,
+                     weights=_weights(labels, decoded.get(CONFIDENCE)),
+                     T_body_camera=match.T_body_camera, **companions), faults
+
+    def _matching(self, labels: tuple[int, int], depth: tuple[int, int]) -> Matching | None:
+        """Return how the pixels of label and depth images of two shapes belong together."""
+        key = labels, depth
+        if key not in self._matchings:
+            if len(self._matchings) >= CAMERAS_KEPT:
+                self._matchings.pop(next(iter(self._matchings)))
+            self._matchings[key] = fit.matching(labels, depth, self._fit)
+        return self._matchings[key]
+
+    def _distrust(self, depth: NDArray[np.float64], msg) -> None:
+        """Take out of *depth* what its confidence image says is not to be trusted."""
+        least = self._depth.min_confidence
+        if msg is None or not least:
+            return
+        trust = _named(DEPTH_CONFIDENCE, messages.depth_confidence, msg)
+        if not same_aspect(trust.shape[::-1], depth.shape[::-1]):
+            raise BadMessage(f'{DEPTH_CONFIDENCE}: another shape', 'a depth confidence image has '
+                             f'the size {trust.shape[1]} x {trust.shape[0]}, its depth image '
+                             f'{depth.shape[1]} x {depth.shape[0]}, expected one aspect ratio')
+        trust = resampled(trust, depth.shape)
+        depth[~((trust if least > 0 else -trust) >= least)] = np.nan
 
     def seen(self, depth_msg) -> tuple[NDArray[np.float64], Camera]:
         """Return depth (H, W), metres along the optical axis, and camera of a depth message."""
@@ -147,10 +188,27 @@ def resampled(labels, shape):
     return labels[rows[:, None], columns]
 
 
-def _truth_like(labels):
-    """Return a reader of truth images on the grid of *labels*."""
+def _weights(labels: NDArray[np.int32], msg) -> NDArray[np.uint32] | None:
+    """Return the weights of labels (H, W) that a confidence message has, None without."""
+    if msg is None:
+        return None
+    weights = _named(CONFIDENCE, messages.confidence, msg)
+    if weights.shape != labels.shape:
+        raise BadMessage(f'{CONFIDENCE}: another size', f'a confidence image has the size '
+                         f'{weights.shape[1]} x {weights.shape[0]}, its label image '
+                         f'{labels.shape[1]} x {labels.shape[0]}, expected the same')
+    return weights
+
+
+def _wide(encoding: str, new: NDArray[np.int32] | None) -> str:
+    """Return an encoding that holds the map's ids, too: a new name may have a larger one."""
+    return 'mono16' if new is not None and encoding in ('mono8', '8UC1') else encoding
+
+
+def _truth_like(labels, ids):
+    """Return a reader of truth images on the grid of *labels*; ids(msg) reads one."""
     def read(msg):
-        truth, _ = messages.labels(msg)
+        truth, _ = ids(msg)
         if not same_aspect(truth.shape[::-1], labels.shape[::-1]):
             raise BadMessage('shape differs from the labels', f'a truth image has the size '
                              f'{truth.shape[1]} x {truth.shape[0]}, its label image '

@@ -5,13 +5,16 @@ import heapq
 from typing import NamedTuple
 
 from persem_ros.inputs.assemble import Assembler
-from persem_ros.inputs.decode import messages
+from persem_ros.inputs.decode import legends, messages
 from persem_ros.inputs.decode.messages import BadMessage
-from persem_ros.inputs.sync.pairing import COLOR, DEPTH, KEEP, LABELS, Synchronizer, TRUTH
+from persem_ros.inputs.names import Names
+from persem_ros.inputs.sync.pairing import (
+    COLOR, CONFIDENCE, DEPTH, DEPTH_CONFIDENCE, KEEP, LABELS, Synchronizer, TRUTH)
 from persem_ros.inputs.sync.poses import Lookup, NO_MOUNT, OTHER_FRAME
 
-ORDER = {TRUTH: 0, COLOR: 1, DEPTH: 2, LABELS: 3}   # at one stamp: whatever completes goes last
-INFO, POSE, TF = 'camera_info', 'pose', 'tf'
+# At one stamp: whatever completes goes last.
+ORDER = {TRUTH: 0, COLOR: 1, CONFIDENCE: 2, DEPTH_CONFIDENCE: 3, DEPTH: 4, LABELS: 5}
+INFO, POSE, TF, LEGEND = 'camera_info', 'pose', 'tf', 'legend'
 NO_INFO = 'no camera info'
 QUEUE_BYTES = 256 << 20
 READY_MAX = 64          # matches of some cameras that wait for those of another
@@ -23,6 +26,8 @@ class Raw(NamedTuple):
     msgtype: str
     data: bytes
     frame_id: str
+    stamp: int = 0      # ns
+    tables: int = 0     # of class names without a stamp, that had come before it
 
 
 class Station:
@@ -75,6 +80,8 @@ class Intake:
         The cameras, in the order of their numbers.
     examples : dict of str to str
         One whole sentence for reasons that have one.
+    names : persem_ros.inputs.names.Names
+        The classes of the map.
 
     """
 
@@ -85,16 +92,23 @@ class Intake:
         self.stations = []
         self.dropped = dropped
         self.examples = {}
+        self.names = Names(config)
         self._decode = decode
         self._waits = patient, pose_wait, keep, max_bytes
         self._ready = []        # matches of all cameras, a heap
         self._missed = {}       # reason -> what a lookup without a pose was for
 
-    def add_camera(self, name, poses, companions=()):
-        """Add a camera whose poses come from the PoseBuffer *poses*; return its Station."""
-        assembler = Assembler(self.config, name)
+    def add_camera(self, name, poses, companions=(), needed=(DEPTH,)):
+        """
+        Add a camera whose poses come from the PoseBuffer *poses*; return its Station.
+
+        companions and needed are kinds of images as of the Synchronizer.
+
+        """
+        # Not the method itself: a reading takes other names once it has its cameras.
+        assembler = Assembler(self.config, name, lambda *at: self.names.at(*at))
         sync = Synchronizer(self.config.sync, partial(self._lookup, poses, assembler), companions,
-                            *self._waits, self.dropped)
+                            *self._waits, self.dropped, needed)
         self.stations.append(Station(sync, assembler, poses))
         return self.stations[-1]
 
@@ -176,9 +190,13 @@ class Intake:
     def _take(self, role, taker, kind, now, data):
         if role in ORDER:
             stamp, frame_id = messages.header(data)
-            self.push_image(taker, role, stamp, Raw(kind, data, frame_id), now)
+            self.push_image(taker, role, stamp,
+                            Raw(kind, data, frame_id, stamp, self.names.arrived), now)
             return
         msg = self._decode(data, kind)
+        if role == LEGEND:
+            self.names.add(legends.table(msg))
+            return
         if role == INFO:
             taker.assembler.add_info(msg)
         elif role == POSE:
@@ -219,7 +237,7 @@ class Intake:
                     decoded[kind] = self._decode(memoryview(raw.data), raw.msgtype)
                 except BadMessage as fault:
                     self._drop(kind, fault)
-                    if kind in (LABELS, DEPTH):
+                    if kind in station.sync.needed:
                         return None
             frame, faults = station.assembler.frame(match, decoded)
         except BadMessage as fault:

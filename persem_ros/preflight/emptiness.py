@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from persem_ros.core.frame.images import counted, resampled
+from persem_ros.core.frame.images import counted, on_depth
 from persem_ros.preflight.depth_fit import likely_unit
 
 SHOWN = 8       # ids in a sentence
@@ -30,7 +30,7 @@ class Emptiness:
 
     def frame(self, frame):
         """Look at a persem_ros.frames.Frame that gave no observation."""
-        settings, labels = self._settings, resampled(frame.labels, frame.depth.shape)
+        settings, labels = self._settings, on_depth(frame, frame.labels)
         measured = np.isfinite(frame.depth) & (frame.depth > 0.0)
         if measured.any():
             depth = frame.depth[measured]

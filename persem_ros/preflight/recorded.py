@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from persem_ros.inputs import names
 from persem_ros.inputs.assemble import Assembler
 from persem_ros.inputs.decode import messages
 from persem_ros.inputs.decode.messages import BadMessage
@@ -17,6 +18,7 @@ from persem_ros.inputs.recording.topics import Choice, first_messages, INFO
 from persem_ros.inputs.sync.poses import PoseBuffer
 from persem_ros.preflight.sample import Sample, Shot, View
 from persem_ros.settings.config import Config
+from persem_ros.settings.legend import load_legend
 
 FIRSTS = 3              # messages of a role that are decoded to judge it
 FOREVER = 1e9           # s
@@ -39,7 +41,9 @@ def sample(source: Source, choice: Choice, config: Config) -> Sample:
         The settings.
 
     """
-    statics = latched.read(source, choice).statics
+    said = latched.read(source, choice)
+    statics, given = said.statics, config.labels.legend
+    legend = names.filled(config, load_legend(given) if given else None, said.tables).legend
     buffers: dict[str, PoseBuffer] = {}
     roles: dict[str, list[tuple[str, Any]]] = {}
     heads: dict[str, dict[str, list[tuple[int, Head]]]] = {}
@@ -59,7 +63,7 @@ def sample(source: Source, choice: Choice, config: Config) -> Sample:
     views = [_view(source, config, name, chosen, heads[name],
                    buffers[chosen[POSE].name if POSE in chosen else TF])
              for name, chosen in choice.cameras.items()]
-    return Sample(config, views, info_frames=_info_frames(source))
+    return Sample(config, views, info_frames=_info_frames(source), legend=legend)
 
 
 def _buffer(config: Config, statics: Iterable[tuple[Any, str, str]]) -> PoseBuffer:

@@ -11,6 +11,7 @@ from persem_ros.frames import Camera
 from persem_ros.inputs.decode import messages
 from persem_ros.inputs.sync.poses import PoseBuffer
 from persem_ros.settings.config import Config
+from persem_ros.settings.legend import Legend
 
 Stamps = NDArray[np.int64]
 
@@ -100,6 +101,8 @@ class Sample:
         Whether a node looks, which has seen the past only and chooses nothing by itself.
     info_frames : dict of str to str
         The frames of all topics with camera infos, by topic, used or not.
+    legend : Legend, optional
+        Whose colours the label images may have.
 
     """
 
@@ -107,3 +110,4 @@ class Sample:
     views: list[View]
     live: bool = False
     info_frames: Mapping[str, str] = field(default_factory=dict)
+    legend: Legend | None = None

@@ -28,6 +28,8 @@ class VoxelFit:
 
     def frame(self, frame):
         """Look at a frame that was integrated, a persem_ros.frames.Frame."""
+        if frame.points is not None:
+            return      # of a cloud, whose points are no pixels of any size
         settings, depth = self._settings, frame.depth[::EVERY, ::EVERY]
         depth = depth[(depth > 0.0) & (settings.min_depth <= depth)
                       & (depth <= settings.max_depth)]

@@ -2,7 +2,7 @@
 
 import cv2
 import numpy as np
-from persem_ros.core.frame.render import nearest
+from persem_ros.core.frame.images import on_labels
 from persem_ros.frames import UNKNOWN
 from persem_ros.outputs.recording.refined import fitted
 from persem_ros.ros.messages import image
@@ -57,7 +57,7 @@ class ImageOutputs:
         if 'labels' in wanted:
             self._send('labels', frame, fitted(labels, frame.encoding), frame.encoding)
         if 'source' in wanted:
-            self._send('source', frame, nearest(sources(), labels.shape), 'mono8')
+            self._send('source', frame, on_labels(frame, sources(), NO_SOURCE), 'mono8')
         if not wanted & {'labels_color', 'overlay'}:
             return
         colors = self._legend().colors(np.where(labels < 0, UNKNOWN, labels))
@@ -76,7 +76,7 @@ def overlay(frame, colors):
     if frame.color is not None:
         below = cv2.resize(frame.color, (width, height), interpolation=cv2.INTER_AREA)
     else:
-        depth = nearest(frame.depth, (height, width))
+        depth = on_labels(frame, frame.depth, 0)
         known = np.isfinite(depth) & (depth > 0)
         scale = 255.0 / max(float(np.percentile(depth[known], 95)), 1e-6) if known.any() else 0.0
         grey = np.where(known, 255.0 - np.minimum(np.where(known, depth, 0) * scale, 230.0), 0)

@@ -171,6 +171,17 @@ class Topics:
     pose: str = setting('pose', 'poses of the camera or body', live=False)
     truth: str = setting('semantic/truth', 'true label images (replay only)', live=False)
     color: str = setting('color/image', 'colour images (report and overlay only)', live=False)
+    labels_info: str = setting(
+        'semantic/camera_info', 'intrinsics of the label images, where they are of another camera '
+        'than the depth', live=False)
+    points: str = setting(
+        '', 'point clouds (PointCloud2): labelled ones in place of images, or with '
+        'depth.source=cloud those of a LiDAR in place of depth images; empty: none', live=False)
+    confidence: str = setting(
+        '', 'confidence images of the segmenter, one value per label: mono8, mono16 (0 to the '
+        'largest value) or 32FC1 (0 to 1); empty: none', live=False)
+    depth_confidence: str = setting(
+        '', 'confidence images of the depth, for depth.min_confidence; empty: none', live=False)
 
 
 @dataclass(frozen=True)
@@ -184,6 +195,25 @@ class Depth:
         'z', 'what is measured: z, along the optical axis, or ray, the radial distance from the '
         'camera (AirSim DepthPerspective, Isaac Sim distance_to_camera, Hypersim)',
         choices=('z', 'ray'), live=False)
+    source: str = setting(
+        'image', 'where depth comes from: image, from topics.depth, or cloud, from the LiDAR '
+        'cloud of topics.points, projected into the label images', choices=('image', 'cloud'),
+        live=False)
+    min_confidence: float = setting(
+        0.0, 'depth pixels whose value in topics.depth_confidence is lower are not used; a '
+        'negative number -c is for cameras whose values grow with doubt (ZED, OAK): values above '
+        'c are not used; 0: all are used', "the camera's own", -1e6, 1e6)
+
+
+@dataclass(frozen=True)
+class Points:
+    """Point clouds in."""
+
+    label_field: str = setting('label', 'field of labelled clouds that holds the class id',
+                               live=False)
+    splat: int = setting(
+        3, 'width of the square with which a LiDAR point hides what is behind it in the label '
+        'image', 'pixels', 1, 99)
 
 
 @dataclass(frozen=True)
@@ -239,8 +269,20 @@ class Labels:
         '', 'legend: a shipped name (town, uavscenes, forest, cityscapes) or a YAML file; '
         "empty: the recording's own, else made-up colours", live=False)
     topic: str = setting(
-        'semantic/legend', 'legend as YAML text, latched; used where labels.legend is empty '
-        '(node)', live=False)
+        'semantic/legend', 'names of the classes: YAML or JSON text (String), or '
+        'vision_msgs/LabelInfo, latched or not; ids follow their names when it changes',
+        live=False)
+    channel: str = setting(
+        '', 'how colour images hold ids: in one channel, r, g, b or a, or as the colours of the '
+        "legend; empty: the legend's colours where they fit, else the one channel that differs",
+        choices=('', 'r', 'g', 'b', 'a', 'legend'), live=False)
+    divisor: int = setting(
+        0, 'instance-coded ids: class = id // divisor (1000 for class * 1000 + instance); 0: ids '
+        'are classes', '', 0, 1 << 30, live=False)
+    fit: str = setting(
+        'exact', 'how label images of another aspect ratio than the depth show its view: exact: '
+        'they are refused; stretch: all of it, distorted; crop: its middle; letterbox: all of it, '
+        'between borders', choices=('exact', 'stretch', 'crop', 'letterbox'), live=False)
 
 
 @dataclass(frozen=True)
@@ -256,6 +298,7 @@ class Config:
     sync: Sync = Sync()
     topics: Topics = Topics()
     depth: Depth = Depth()
+    points: Points = Points()
     qos: Qos = Qos()
     map: Map = Map()    # noqa: A003
     ema: Ema = Ema()
@@ -333,7 +376,7 @@ def _camera_topics(config: Config) -> tuple[Any, ...]:
     result = []
     for camera in (name for name in config.cameras if name):
         shared = {f.name: f'{camera}/{getattr(config.topics, f.name)}' for f in fields(Topics)
-                  if f.name != 'pose'}
+                  if f.name != 'pose' and getattr(config.topics, f.name)}
         result.append((camera, old.get(camera, replace(config.topics, **shared))))
     return tuple(result)
 

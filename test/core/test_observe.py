@@ -55,6 +55,19 @@ def test_random_clouds(seed, n, voxel_size, min_pixels, shifted):
             assert row == -1
 
 
+@given(seeds, st.integers(0, 200), st.sampled_from([0.3, 4.0]), st.sampled_from([1, 3]))
+@examples(max_examples=60)
+def test_random_weights(seed, n, voxel_size, min_pixels):
+    rng = np.random.default_rng(seed)
+    points, labels = cloud(rng, n)
+    w = rng.choice([0.0, 1.0, 0.5, 0.25, 1 / 3, 2.0, -1.0, 1e-6, np.nan, rng.random()], n)
+    weights = np.rint(np.clip(np.nan_to_num(w), 0, 1) * 65536).astype(np.uint32)
+    seen = observe(points, labels, EYE, voxel_size, min_pixels, weights=weights)
+    assert as_dict(seen) == ref.observe(points, labels, EYE, voxel_size, min_pixels, weights=w)
+    certain = observe(points, labels, EYE, voxel_size, weights=np.full(n, 65536, np.uint32))
+    same(certain, observe(points, labels, EYE, voxel_size))
+
+
 @given(seeds)
 @examples(max_examples=30)
 def test_points_on_the_borders_of_voxels(seed):

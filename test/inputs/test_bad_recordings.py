@@ -165,7 +165,7 @@ def test_a_topic_without_messages_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize('change, reason', [
-    (spoiled(encoding='rgb8'), "encoding 'rgb8'"),
+    (spoiled(encoding='yuv422'), "encoding 'yuv422'"),
     (spoiled(data=lambda msg: msg.data[:-1]), 'data too short'),
     (spoiled(data=lambda msg: msg.data[:0]), 'data too short'),
     (spoiled(width=0), 'zero size'),
@@ -181,7 +181,7 @@ def test_single_bad_images_are_dropped_and_counted(tmp_path, change, reason):
 def test_bad_truth_costs_the_truth_only(tmp_path):
     def change(kind, i, msg):
         if kind == 'truth' and i == 1:
-            msg.encoding = 'rgb8'
+            msg.encoding = 'yuv422'
         if kind == 'truth' and i == 2:
             msg.width, msg.height = msg.height, msg.width
             msg.step = msg.width * 2
@@ -189,18 +189,18 @@ def test_bad_truth_costs_the_truth_only(tmp_path):
 
     frames, recording = read(written(tmp_path / 'bag', change), truth=True)
     assert [f.truth is None for f in frames] == [False, True, True, False, False]
-    assert recording.dropped == {"truth: encoding 'rgb8'": 1,
+    assert recording.dropped == {"truth: encoding 'yuv422'": 1,
                                  'truth: shape differs from the labels': 1}
 
 
 def test_images_that_are_all_bad_end_in_one_sentence(tmp_path):
     def change(kind, i, msg):
         if kind == 'labels':
-            msg.encoding = 'rgb8'
+            msg.encoding = 'yuv422'
         return msg
 
     text = refused(written(tmp_path / 'bag', change))
-    assert "labels: encoding 'rgb8' (5)" in text and 'expected one of mono8' in text
+    assert "labels: encoding 'yuv422' (5)" in text and 'expected one of mono8' in text
 
 
 def test_sizes_of_another_shape(tmp_path):

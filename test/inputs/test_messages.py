@@ -106,7 +106,7 @@ def test_colors_are_rgb(form, encoding, pixel):
 
 
 @pytest.mark.parametrize('read, message, reason', [
-    (messages.labels, raw(np.zeros(12, 'u1'), 2, 2, 'rgb8'), "encoding 'rgb8'"),
+    (messages.labels, raw(np.zeros(12, 'u1'), 2, 2, 'rgb8'), 'colours instead of ids'),
     (messages.labels, raw(np.zeros(4, 'f4'), 2, 2, '32FC1'), "encoding '32FC1'"),
     (messages.labels, raw(np.zeros(4, 'u1'), 2, 2, ''), "encoding ''"),
     (messages.depth, raw(np.zeros(4, 'u1'), 2, 2, 'mono8'), "encoding 'mono8'"),

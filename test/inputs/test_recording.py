@@ -144,9 +144,10 @@ def test_static_transforms_and_legend_come_first_wherever_they_are(tmp_path):
             if i < 3:
                 bags.write_images(out, i)
         out.tf(bags.stamp(50), 'base_link', 'camera', mount, static=True)
-        out.text('/semantic/legend', 'classes: {}', latched=True, stamp=bags.stamp(60))
+        out.text('/semantic/legend', 'classes: [{id: 1, name: x}]', latched=True,
+                 stamp=bags.stamp(60))
     frames, recording = read(tmp_path / 'bag', {'topics.pose': 'odometry'})
-    assert len(frames) == 3 and recording.legend_text == 'classes: {}'
+    assert len(frames) == 3 and recording.legend.name(1) == 'x'
     np.testing.assert_allclose(frames[1].T_map_camera, bags.pose(1) @ mount, atol=1e-12)
 
 

@@ -119,7 +119,7 @@ def test_topics_that_are_there_and_cannot_be_used(tmp_path, capsys):
         out.image('tall', bags.stamp(0), 'camera', bags.labels(0, 12, 16), 'mono16')
         out.pose('pose', bags.stamp(0), 'map', np.eye(4))
     status, out = report(capsys, tmp_path / 'shape', '--set', 'topics.labels=tall')
-    assert status == 1 and 'label images are 12 x 16, depth images 16 x 12' in out
+    assert status == 1 and 'size 12 x 16, its depth image 16 x 12' in out
 
 
 def test_odd_stamps_and_damage_are_shown(tmp_path, capsys):

@@ -104,11 +104,11 @@ UNUSABLE = {
                       ['cannot be read']),
     'a tenth of sqlite3': (lambda path: truncated(path, 'sqlite3', 0.01), ['cannot be read']),
     'labels of an encoding': (
-        lambda path: bad.written(path, spoiled_all('labels', encoding='rgb8')),
-        ["'rgb8'", 'expected one of', 'mono8']),
+        lambda path: bad.written(path, spoiled_all('labels', encoding='yuv422')),
+        ["'yuv422'", 'expected one of', 'mono8']),
     'depth of an encoding': (
-        lambda path: bad.written(path, spoiled_all('depth', encoding='64FC1')),
-        ["'64FC1'", '16UC1', '32FC1']),
+        lambda path: bad.written(path, spoiled_all('depth', encoding='yuv422')),
+        ["'yuv422'", '16UC1', '32FC1']),
     'short data': (lambda path: bad.written(path, spoiled_all(
         'depth', data=np.zeros(7, np.uint8))), ['7 bytes', 'height x step']),
     'zero size': (lambda path: bad.written(path, spoiled_all('labels', height=0)), ['16 x 0']),
@@ -161,8 +161,8 @@ def odd_depth(kind, i, message):
 
 USABLE = {
     'half an mcap': (lambda path: truncated(path, share=0.5), None, {}, 'cut off'),
-    'one encoding': (lambda path: bad.written(path, bad.spoiled(encoding='bgr8')), 3,
-                     {"labels: encoding 'bgr8'": 1, "depth: encoding 'bgr8'": 1}, ''),
+    'one encoding': (lambda path: bad.written(path, bad.spoiled(encoding='yuv422')), 3,
+                     {"labels: encoding 'yuv422'": 1, "depth: encoding 'yuv422'": 1}, ''),
     'depths of all kinds': (lambda path: bad.written(path, odd_depth), 5, {}, ''),
     'ids of all kinds': (lambda path: bad.written(path, labels_as(
         np.resize(np.array([-1, 65536, 1 << 30, 3], np.int32), (12, 16)), '32SC1')), 5, {},

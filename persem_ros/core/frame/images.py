@@ -1,11 +1,13 @@
 """The image front end: a label and a depth image become labelled points (spec section 1)."""
 
 import numpy as np
-from persem_ros.core.frame.observe import key_of, placing
+from numpy.typing import NDArray
+from persem_ros.core.frame.observe import key_of, place, placing
 from persem_ros.core.frame.render import nearest
 from persem_ros.core.jit import kernel, split
 from persem_ros.errors import PersemError
-from persem_ros.frames import IGNORED, MAX_ID, same_aspect
+from persem_ros.frames import Frame, IGNORED, MAX_ID, same_aspect
+from persem_ros.settings.config import Memory
 
 
 def points(frame, settings):
@@ -31,8 +33,43 @@ def points(frame, settings):
 
 
 def counted_labels(frame, settings):
-    """Return the labels alone, as in points()."""
-    return counted(resampled(frame.labels, frame.depth.shape), settings).reshape(-1)
+    """Return the labels alone, as in points(); a label without weight does not count."""
+    labels = counted(on_depth(frame, frame.labels), settings).reshape(-1)
+    if frame.weights is not None:
+        labels[weights(frame) == 0] = IGNORED
+    return labels
+
+
+def weights(frame: Frame) -> NDArray[np.uint32] | None:
+    """Return the weight of each depth pixel's label, shape (h * w,), None: all are certain."""
+    if frame.weights is None:
+        return None
+    return on_depth(frame, frame.weights, 0).reshape(-1)
+
+
+def on_depth(frame: Frame, image: NDArray, fill: int = IGNORED) -> NDArray:
+    """
+    Return an image on the grid of the labels (H, W) on that of the depth (h, w).
+
+    Pixels that the labels do not show get *fill*.
+
+    """
+    if frame.matching is None:
+        return resampled(image, frame.depth.shape)
+    places = frame.matching.labels_of
+    taken = np.asarray(image).reshape(-1)[np.maximum(places, 0)]
+    taken[places < 0] = fill
+    return taken
+
+
+def on_labels(frame: Frame, image: NDArray, fill: int) -> NDArray:
+    """Return an image on the grid of the depth (h, w) on that of the labels, as on_depth()."""
+    if frame.matching is None:
+        return nearest(image, frame.labels.shape)
+    places = frame.matching.depth_of
+    taken = np.asarray(image).reshape(-1)[np.maximum(places, 0)]
+    taken[places < 0] = fill
+    return taken
 
 
 def placed(frame, settings, voxel_size, origin, offsets=None):
@@ -45,6 +82,8 @@ def placed(frame, settings, voxel_size, origin, offsets=None):
     the time of integrating a frame.
 
     """
+    if frame.points is not None:
+        return place(_cloud(frame, settings), frame.T_map_camera, voxel_size, origin, offsets)
     depth = np.require(frame.depth, np.float64, 'CW')
     rays = np.require(frame.camera.rays, np.float64, 'CW')
     pose, base = placing(frame.T_map_camera, voxel_size, origin)
@@ -57,12 +96,21 @@ def placed(frame, settings, voxel_size, origin, offsets=None):
 
 def backprojected(frame, settings):
     """Return the points alone, as in points()."""
+    if frame.points is not None:
+        return _cloud(frame, settings)
     depth = np.require(frame.depth, np.float64, 'CW')
     rays = np.require(frame.camera.rays, np.float64, 'CW')
     result = np.empty(depth.shape + (3,))
     split(backproject, depth.shape[0], depth, rays, float(settings.min_depth),
           float(settings.max_depth), result, grain=64)
     return result.reshape(-1, 3)
+
+
+def _cloud(frame: Frame, settings: Memory) -> NDArray[np.float64]:
+    """Return the points of a labelled cloud, (h * w, 3); NaN where they are out of range."""
+    inside = (frame.depth >= settings.min_depth) & (frame.depth <= settings.max_depth) \
+        & (frame.depth > 0.0)
+    return np.where(inside[..., None], frame.points, np.nan).reshape(-1, 3)
 
 
 def resampled(labels, shape):

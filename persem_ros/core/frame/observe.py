@@ -7,7 +7,7 @@ import numpy as np
 from persem_ros.core.jit import inlined, kernel, split
 from persem_ros.core.memory.pools import CENTRE
 from persem_ros.errors import PersemError
-from persem_ros.frames import MAX_ID, UNKNOWN
+from persem_ros.frames import IGNORED, MAX_ID, UNKNOWN
 
 NOWHERE = np.int64(-1)      # key of a point without a place
 STRIPE = 21 + 4             # bit of a key: 16 voxels along y
@@ -60,7 +60,7 @@ class Observations:
 
 
 def observe(points, labels, T_map_sensor, voxel_size, min_pixels=1, origin=(0.0, 0.0, 0.0),
-            stamp=0, sensor=''):
+            stamp=0, sensor='', weights=None):
     """
     Return the Observations of one frame.
 
@@ -83,21 +83,34 @@ def observe(points, labels, T_map_sensor, voxel_size, min_pixels=1, origin=(0.0,
         Nanoseconds.
     sensor : str
         Name of the sensor.
+    weights : ndarray, shape (N,), uint32, optional
+        Confidence of each label in units of 2 ** -16; a label with 0 does not count.
 
     """
+    if weights is not None:
+        labels = np.where(weights > 0, labels, IGNORED)
     offsets = np.empty(np.size(points) // 3, np.int32)
     keys, base = place(points, T_map_sensor, voxel_size, origin, offsets)
-    return gather(keys, base, labels, min_pixels, stamp, T_map_sensor, sensor, offsets)
+    return gather(keys, base, labels, min_pixels, stamp, T_map_sensor, sensor, offsets,
+                  weights=weights)
 
 
 def gather(keys, base, labels, min_pixels, stamp, T_map_sensor, sensor, offsets=None,
-           T_body_sensor=None):
-    """Return the Observations of placed points; parameters as in observe() and place()."""
+           T_body_sensor=None, weights=None):
+    """
+    Return the Observations of placed points; parameters as in observe() and place().
+
+    With *weights*, uint32 (N,), of counted points above 0, in units of 2 ** -16, the vote is by
+    their sums and the confidence is the winner's over the number of points (spec section 11).
+
+    """
     if offsets is None or len(keys) > MOST_OFFSETS:
         offsets = np.empty(0, np.int32)
+    if weights is not None:
+        weights = np.require(weights, np.uint32, 'CW').reshape(-1)
     labels = np.require(labels, np.int32, 'CW').reshape(-1)
     where = np.empty(len(keys), np.int32)
-    halves = sum(split(_halves, 2, keys, base, labels, offsets, int(min_pixels), where,
+    halves = sum(split(_halves, 2, keys, base, labels, offsets, int(min_pixels), where, weights,
                        grain=1), [])
     voxels, best, confidence, means = (np.concatenate(parts)
                                        for parts in list(zip(*halves))[:4])
@@ -195,6 +208,11 @@ def key_of(x, y, z, pose, base, voxel_size):
 TALLY = np.dtype([('key', 'i8'), ('id', 'i4'), ('count', 'i4'), ('more', 'i4'), ('x', 'u4'),
                   ('y', 'u4'), ('z', 'u4')])
 EXTRA = np.dtype([('id', 'i4'), ('count', 'i4'), ('more', 'i4')])
+# The same where points have weights: their sum, and in the first record their number.
+WEIGHED = np.dtype([*((name, 'i8' if name == 'count' else kind) for name, kind in TALLY.descr),
+                    ('number', 'i8')])
+WEIGHED_EXTRA = np.dtype([('id', 'i4'), ('count', 'i8'), ('more', 'i4')])
+ONE = 1 << 16       # the weight of a label that is certain
 
 
 def _halves(begin, end, *arguments):
@@ -203,7 +221,7 @@ def _halves(begin, end, *arguments):
 
 
 @kernel
-def group(half, keys, base, labels, offsets, min_pixels, where):
+def group(half, keys, base, labels, offsets, min_pixels, where, weights):
     """
     Gather points by voxel and vote: the heart of observe().
 
@@ -219,8 +237,12 @@ def group(half, keys, base, labels, offsets, min_pixels, where):
     while 6 << (64 - np.int64(bits)) < len(keys):
         bits -= np.uint64(1)
     table = np.zeros(1 << (64 - np.int64(bits)), np.int32)
-    tallies = np.empty(len(keys), TALLY)
-    extras = np.empty(len(keys), EXTRA)
+    if weights is None:     # decided when it is compiled
+        tallies = np.empty(len(keys), TALLY)
+        extras = np.empty(len(keys), EXTRA)
+    else:
+        tallies = np.empty(len(keys), WEIGHED)
+        extras = np.empty(len(keys), WEIGHED_EXTRA)
     seen = np.zeros(65536, np.uint8)
     n, n_extras, measured = 0, 0, len(offsets) > 0
     last, last_key = 0, NOWHERE
@@ -248,6 +270,8 @@ def group(half, keys, base, labels, offsets, min_pixels, where):
                 tallies[g].count = 0
                 tallies[g].more = -1
                 tallies[g].x = tallies[g].y = tallies[g].z = 0
+                if weights is not None:
+                    tallies[g].number = 0
                 if 10 * n > 7 * len(table):
                     bits -= np.uint64(1)
                     table = _grown(table, bits, tallies, n)
@@ -256,18 +280,22 @@ def group(half, keys, base, labels, offsets, min_pixels, where):
         c = labels[p]
         if not 0 <= c <= MAX_ID:
             continue
+        weight = np.int64(1)
+        if weights is not None:
+            weight = np.int64(weights[p])
+            tallies[g].number += 1
         if measured:
             tallies[g].x += offsets[p] >> 16
             tallies[g].y += offsets[p] >> 8 & 255
             tallies[g].z += offsets[p] & 255
         if c == tallies[g].id:
-            tallies[g].count += 1
+            tallies[g].count += weight
         else:
             if tallies[g].id < 0:
                 tallies[g].id = c
-                tallies[g].count = 1
+                tallies[g].count = weight
                 seen[c] = 1
-            elif _count_extra(tallies, extras, n_extras, g, c):
+            elif _count_extra(tallies, extras, n_extras, g, c, weight):
                 n_extras += 1
                 seen[c] = 1
     voxels = np.empty((n, 3), np.int32)
@@ -276,21 +304,21 @@ def group(half, keys, base, labels, offsets, min_pixels, where):
         voxels[g, 0] = (key >> 42) - REACH + base[0]
         voxels[g, 1] = (key >> 21 & 0x1fffff) - REACH + base[1]
         voxels[g, 2] = (key & 0x1fffff) - REACH + base[2]
-    best, confidence, means = _vote(np.int64(n), min_pixels, tallies, extras, measured)
+    best, confidence, means = _vote(np.int64(n), min_pixels, tallies, extras, measured, weights)
     return voxels, best, confidence, means, seen
 
 
 @inlined
-def _count_extra(tallies, extras, n_extras, g, c):
+def _count_extra(tallies, extras, n_extras, g, c, weight):
     """Count id c, not the first of voxel g; return whether it is new there."""
     e = np.int64(tallies[g].more)
     while e >= 0:
         if extras[e].id == c:
-            extras[e].count += 1
+            extras[e].count += weight
             return False
         e = np.int64(extras[e].more)
     extras[n_extras].id = c
-    extras[n_extras].count = 1
+    extras[n_extras].count = weight
     extras[n_extras].more = tallies[g].more
     tallies[g].more = n_extras
     return True
@@ -317,8 +345,13 @@ def _grown(table, bits, tallies, n):
 
 
 @kernel
-def _vote(n, min_pixels, tallies, extras, measured):
-    """Return each voxel's most frequent id (a tie: the smaller), its share, the mean offset."""
+def _vote(n, min_pixels, tallies, extras, measured, weights):
+    """
+    Return each voxel's most frequent id (a tie: the smaller), its share, the mean offset.
+
+    Where there are *weights*, counts are their sums.
+
+    """
     best = np.full(n, UNKNOWN, np.uint16)
     confidence = np.zeros(n, np.float32)
     means = np.full((n, 3), CENTRE, np.uint8)
@@ -332,9 +365,14 @@ def _vote(n, min_pixels, tallies, extras, measured):
             if count > most or (count == most and c < label):
                 most, label = count, c
             e = np.int64(extras[e].more)
+        if weights is not None:
+            total = np.int64(tallies[g].number)
         if total >= min_pixels and total > 0:
             best[g] = label
-            confidence[g] = np.float32(most / total)
+            if weights is None:
+                confidence[g] = np.float32(most / total)
+            else:
+                confidence[g] = np.float32(most / (total * ONE))
             if measured:    # rounded, not cut off: the mean of offsets that were cut off
                 means[g, 0] = min((2 * np.int64(tallies[g].x) + total) // (2 * total), 255)
                 means[g, 1] = min((2 * np.int64(tallies[g].y) + total) // (2 * total), 255)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros import ahead
 from persem_ros.core import jit
-from persem_ros.core.frame.images import counted, resampled
+from persem_ros.core.frame.images import counted, on_depth
 from persem_ros.core.frame.smoothing import EmaImages
 from persem_ros.core.refine import snapshot
 from persem_ros.core.refine.job import labelled
@@ -152,8 +152,8 @@ class Sequence:
         for number, frame in enumerate(self._read(truth=True, color=pictured), 1):
             with self.watch('reprojection'):
                 voxels = self.pipeline.voxel_image(frame)
-            labels = resampled(frame.labels, frame.depth.shape)
-            truth = None if frame.truth is None else resampled(frame.truth, frame.depth.shape)
+            labels = on_depth(frame, frame.labels)
+            truth = None if frame.truth is None else on_depth(frame, frame.truth)
             with self.watch('smoothing in the image'):
                 images = [self._smoothed(frame.sensor, labels, smoothers)
                           if m == 'ema2d' else labels for m in self.images]

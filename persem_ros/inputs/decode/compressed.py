@@ -20,7 +20,7 @@ PLAIN = ('png', *(f'{name.lower()}; {how}' for name in INTEGERS
 SIZE = 8            # RVL: uint32 columns, uint32 rows
 
 
-def labels(form, data):
+def labels(form, data, lossy=False):
     """
     Decode PNG labels.
 
@@ -30,11 +30,13 @@ def labels(form, data):
         The message's format.
     data : ndarray, uint8
         The message's data.
+    lossy : bool
+        Whether JPEG will do.
 
     Returns
     -------
-    ndarray, shape (H, W), uint8 or uint16
-        Ids.
+    ndarray, shape (H, W), uint8 or uint16, or (H, W, 3 or 4), uint8
+        Ids, or blue, green, red (and alpha).
     str
         The encoding that the format names, '' where it names none.
 
@@ -42,13 +44,13 @@ def labels(form, data):
     encoding, _, how = form.partition(';')
     if 'compressedDepth' in form:
         return _deep(form, data)[0], encoding.strip()
-    if 'jpeg' in form.lower() or 'jpg' in form.lower():
+    if not lossy and ('jpeg' in form.lower() or 'jpg' in form.lower()):
         raise ValueError('lossy compression', f'a label image has the format {form!r}, whose '
                          'losses change ids; expected png')
     image = _imdecode(data, cv2.IMREAD_UNCHANGED, form)
-    if image.ndim != 2:
-        raise ValueError('colours instead of ids', f'a label PNG has {image.shape[2]} channels '
-                         '(or a palette), expected one channel of ids')
+    if image.ndim == 3 and (image.shape[2] < 3 or image.dtype != np.uint8):
+        raise ValueError('odd channels', f'a label PNG has {image.shape[2]} channels of '
+                         f'{image.dtype}, expected one channel of ids, or colours of 8 bits')
     return image, encoding.strip() if how else ''
 
 

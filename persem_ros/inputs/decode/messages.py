@@ -6,6 +6,7 @@ np.frombuffer, which takes both.
 
 """
 
+from functools import partial
 import math
 
 import numpy as np
@@ -19,6 +20,10 @@ LABELS = {'mono8': 'u1', '8UC1': 'u1', 'mono16': 'u2', '16UC1': 'u2', '16SC1': '
           '32SC1': 'i4'}
 DEPTH = {'16UC1': 'u2', 'mono16': 'u2', '32FC1': 'f4', '64FC1': 'f8'}
 MILLIMETRE = 0.001          # unit of integer depth, REP-118
+CONFIDENCE = {'mono8': 'u1', '8UC1': 'u1', 'mono16': 'u2', '16UC1': 'u2', '32FC1': 'f4'}
+# Where red, green, blue (and alpha) are in a pixel; cv_bridge calls OpenCV's order 8UC3.
+PLANES = {'rgb8': [0, 1, 2], 'bgr8': [2, 1, 0], '8UC3': [2, 1, 0], 'rgba8': [0, 1, 2, 3],
+          'bgra8': [2, 1, 0, 3], '8UC4': [2, 1, 0, 3]}
 COLOR = {'rgb8': (3, [0, 1, 2]), 'bgr8': (3, [2, 1, 0]), '8UC3': (3, [2, 1, 0]),
          'rgba8': (4, [0, 1, 2]), 'bgra8': (4, [2, 1, 0]), '8UC4': (4, [2, 1, 0]),
          'mono8': (1, [0, 0, 0]), '8UC1': (1, [0, 0, 0])}
@@ -72,7 +77,7 @@ def header(data):
 
 def labels(msg):
     """
-    Read a label image.
+    Read a label image whose pixels are ids.
 
     Parameters
     ----------
@@ -92,12 +97,79 @@ def labels(msg):
         Unknown encoding, zero size, short data, damaged PNG.
 
     """
+    planes, encoding = label_planes(msg)
+    if planes.ndim == 3:
+        raise BadMessage('colours instead of ids', f'a label image has {planes.shape[2]} channels '
+                         f'({encoding}), expected one of ids')
+    return planes.astype(np.int32), encoding
+
+
+def label_planes(msg, lossy: bool = False) -> tuple[NDArray, str]:
+    """
+    Read a label image of ids or of colours.
+
+    Parameters
+    ----------
+    msg : sensor_msgs/Image or CompressedImage
+    lossy : bool
+        Whether JPEG will do, as it may for colours.
+
+    Returns
+    -------
+    ndarray, shape (H, W) or (H, W, 3 or 4)
+        Ids in their own type, or red, green, blue (and alpha), uint8.
+    str
+        The encoding.
+
+    Raises
+    ------
+    BadMessage
+        As of labels().
+
+    """
     if hasattr(msg, 'format'):
-        array, encoding = _decoded(compressed.labels, msg)
+        array, encoding = _decoded(partial(compressed.labels, lossy=lossy), msg)
+        if array.ndim == 3:
+            order = [2, 1, 0, 3][:array.shape[2]]       # as OpenCV decodes
+            return array[..., order], encoding or 'png'
         if encoding not in LABELS:
             encoding = {1: 'mono8', 2: 'mono16'}[array.itemsize]
-        return array.astype(np.int32), encoding
-    return _plane(msg, LABELS, 'a label image').astype(np.int32), msg.encoding
+        return array, encoding
+    if msg.encoding in PLANES:
+        order = PLANES[msg.encoding]
+        rows = _rows(msg, msg.width * len(order))
+        return rows.reshape(msg.height, msg.width, len(order))[..., order], msg.encoding
+    return _plane(msg, LABELS, 'a label image'), msg.encoding
+
+
+def confidence(msg) -> NDArray[np.uint32]:
+    """
+    Read a confidence image of the segmenter.
+
+    Returns
+    -------
+    ndarray, shape (H, W), uint32
+        w in units of 2 ** -16, 0 .. 65536; 0 where it was NaN (spec section 11).
+
+    """
+    array = _plane(msg, CONFIDENCE, 'a confidence image')
+    if array.dtype.kind == 'u':
+        w = array / float(np.iinfo(array.dtype).max)
+    else:
+        w = np.clip(np.nan_to_num(array.astype(np.float64), nan=0.0), 0.0, 1.0)
+    return np.rint(w * 65536.0).astype(np.uint32)
+
+
+def depth_confidence(msg) -> NDArray[np.float64]:
+    """Read a confidence image of the depth, float64 (H, W), in the camera's own numbers."""
+    if hasattr(msg, 'format'):
+        array, _ = _decoded(compressed.labels, msg)
+        if array.ndim == 2:
+            return array.astype(np.float64)
+        raise BadMessage('several channels', f'a depth confidence image has {array.shape[2]} '
+                         'channels, expected one')
+    return _plane(msg, {**CONFIDENCE, '64FC1': 'f8'},
+                  'a depth confidence image').astype(np.float64)
 
 
 def depth(msg, scale: float = 0.0) -> NDArray[np.float64]:
@@ -240,6 +312,7 @@ def _rows(msg, row_bytes):
 
 
 def _unknown(encoding, known, what):
+    known = known if known is not LABELS else [*LABELS, *PLANES]
     return BadMessage(f'encoding {encoding!r}', f'{what} has the encoding {encoding!r}, '
                       f'expected one of {", ".join(known)}')
 

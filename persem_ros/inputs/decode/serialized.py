@@ -2,7 +2,13 @@
 
 from persem_ros.inputs.decode.messages import BadMessage
 from rosbags.serde import SerdeError
-from rosbags.typesys import get_typestore, Stores
+from rosbags.typesys import get_types_from_msg, get_typestore, Stores
+
+# Of vision_msgs, which not every installation of ROS has.
+VISION = {
+    'vision_msgs/msg/VisionClass': 'uint16 class_id\nstring class_name\n',
+    'vision_msgs/msg/LabelInfo':
+        'std_msgs/Header header\nvision_msgs/VisionClass[] class_map\nfloat32 threshold\n'}
 
 
 class Decoder:
@@ -11,6 +17,8 @@ class Decoder:
     def __init__(self):
         """Load the types."""
         self._store = get_typestore(Stores.ROS2_JAZZY)
+        self._store.register({name: types for kind, text in VISION.items()
+                              for name, types in get_types_from_msg(text, kind).items()})
 
     def __call__(self, data, typename):
         """Return the message; BadMessage where its bytes are damaged."""

@@ -1,8 +1,9 @@
-"""What is said once for a whole recording: static transforms and the legend."""
+"""What is said beside the images of a recording: static transforms and names of classes."""
 
 from dataclasses import dataclass, field
 from itertools import islice
 
+from persem_ros.inputs.decode import legends as legend_tables
 from persem_ros.inputs.decode import messages
 from persem_ros.inputs.decode.messages import BadMessage
 
@@ -16,21 +17,21 @@ class Latched:
     ----------
     statics : list of (ndarray (4, 4), str, str)
         T_parent_child, parent, child.
-    legend : str
-        YAML, '' where there is none.
+    tables : list of persem_ros.inputs.decode.legends.Table
+        Names of classes in the order of the recording; those of a topic that changes.
     faults : list of str
         Sentences about what could not be used.
 
     """
 
     statics: list = field(default_factory=list)
-    legend: str = ''
+    tables: list = field(default_factory=list)
     faults: list = field(default_factory=list)
 
 
 def read(source, choice):
     """
-    Read static transforms and legend, wherever in the recording they are.
+    Read static transforms and names of classes, wherever in the recording they are.
 
     Parameters
     ----------
@@ -48,19 +49,24 @@ def read(source, choice):
     found = Latched()
     topics = choice.tf_static + choice.legends
     legends = {topic.name for topic in choice.legends}
+    bad = {}        # topic -> why its first message that was not used was not
+    last = {}       # topic -> the message before: some publish the same with every image
     # Counted, so that the search ends with the last of them and not with the recording.
     wanted = islice(source.messages({topic.name for topic in topics}),
                     sum(topic.count for topic in topics))
     for name, kind, _, data in wanted:
         try:
+            if name in legends:
+                if last.get(name) != data:
+                    found.tables.append(legend_tables.table(source.decode(data, kind)))
+                last[name] = bytes(data)
+                continue
             msg = source.decode(data, kind)
         except BadMessage as fault:
-            found.faults.append(f'{name}: a message was not used: {fault}')
-            continue
-        if name in legends:
-            found.legend = msg.data
+            bad.setdefault(name, f'{name}: a message was not used: {fault}')
             continue
         good, faults = messages.transforms(msg)
         found.statics += [pose[1:] for pose in good]
         found.faults += [f'{name}: a transform was not used: {fault}' for fault in faults]
+    found.faults += bad.values()
     return found

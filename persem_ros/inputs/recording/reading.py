@@ -5,8 +5,10 @@ from dataclasses import replace
 import sys
 
 from persem_ros.errors import PersemError
-from persem_ros.inputs.intake import INFO, Intake, ORDER, POSE, TF
-from persem_ros.inputs.sync.pairing import COLOR, DEPTH, LABELS, TRUTH
+from persem_ros.inputs import names
+from persem_ros.inputs.intake import INFO, Intake, LEGEND, ORDER, POSE, TF
+from persem_ros.inputs.sync.pairing import (
+    COLOR, CONFIDENCE, DEPTH, DEPTH_CONFIDENCE, LABELS, TRUTH)
 from persem_ros.inputs.sync.poses import PoseBuffer
 
 AHEAD = 30.0            # s that poses are read before the images: what one needs is there
@@ -51,6 +53,7 @@ class Reading(Intake):
         companions = [kind for kind, wanted in ((TRUTH, truth), (COLOR, color)) if wanted]
         for name, chosen in recording.topics.items():
             self._add_camera(name, chosen, [k for k in companions if k in chosen])
+        self._add_names(config)
 
     def frames(self):
         """Yield the frames; the recording's counters follow."""
@@ -106,10 +109,22 @@ class Reading(Intake):
         super().push_image(station, role, stamp, raw, now)
 
     def _add_camera(self, name, chosen, companions):
-        station = self.add_camera(name, self._pose_buffer(chosen), companions)
+        needed = [kind for kind in (DEPTH, CONFIDENCE, DEPTH_CONFIDENCE) if kind in chosen]
+        station = self.add_camera(name, self._pose_buffer(chosen), companions, needed)
         station.assembler.add_info(self._recording.infos[chosen[INFO].name])
-        for kind in (LABELS, DEPTH, *companions, INFO):
+        for kind in (LABELS, *needed, *companions, INFO):
             self._roles.setdefault(chosen[kind].name, []).append((kind, station))
+
+    def _add_names(self, config):
+        """Know what the recording says of its classes: with stamps, or by the order of arrival."""
+        given = self._recording.given_legend
+        tables = self._recording.tables
+        arriving = [table for table in tables if table.stamp is None]
+        self.names = names.filled(config, given, [
+            *(table for table in tables if table.stamp is not None), *arriving[:1]])
+        if len(arriving) > 1:
+            for topic in self._recording.choice.legends:
+                self._roles.setdefault(topic.name, []).append((LEGEND, None))
 
     def _pose_buffer(self, chosen):
         """Return the buffer of a camera's poses; cameras with one pose topic share it."""
@@ -128,4 +143,7 @@ class Reading(Intake):
         for buffer in self._buffers.values():
             for key, text in buffer.notes.items():
                 self._recording.note(key, text)
+        for station in self.stations:
+            if station.assembler.reader.note:
+                self._recording.note('labels', station.assembler.reader.note)
         self.explain()

@@ -3,6 +3,7 @@
 from collections import Counter
 
 from persem_ros.errors import PersemError
+from persem_ros.inputs import names
 from persem_ros.inputs.assemble import Assembler
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.recording import latched
@@ -12,6 +13,7 @@ from persem_ros.inputs.recording.reading import Reading
 from persem_ros.inputs.recording.source import Source
 from persem_ros.inputs.recording.topics import Choice
 from persem_ros.inputs.sync.pairing import UNUSED
+from persem_ros.settings.legend import load_legend
 
 
 class Recording:
@@ -45,6 +47,10 @@ class Recording:
         One whole sentence for reasons that have one.
     said : set of str
         Notes that the user has read.
+    names : persem_ros.inputs.names.Names
+        The classes of the map.
+    given_legend : persem_ros.settings.legend.Legend or None
+        That of labels.legend.
 
     Raises
     ------
@@ -70,6 +76,8 @@ class Recording:
             self.topics = self.choice.cameras
             self._latched = latched.read(self.source, self.choice)
             self.infos = self._read_infos()
+            self.given_legend = load_legend(config.labels.legend) if config.labels.legend else None
+            self.names = names.filled(config, self.given_legend, self._latched.tables)
         except BaseException:
             self.close()
             raise
@@ -92,9 +100,19 @@ class Recording:
         return self.source.notes + self._latched.faults + list(self._notes.values())
 
     @property
+    def legend(self):
+        """Return the Legend of the map: labels.legend, else the recording's, with all names."""
+        return self.names.legend
+
+    @property
     def legend_text(self):
-        """Return the recording's own legend (YAML), '' where it has none."""
-        return self._latched.legend
+        """Return the same as YAML, '' where there is none."""
+        return self.names.legend.to_yaml()
+
+    @property
+    def tables(self):
+        """Return the tables of class names in the order of the recording."""
+        return self._latched.tables
 
     @property
     def statics(self):

@@ -4,7 +4,7 @@ from itertools import islice
 from shlex import quote
 
 from persem_ros.errors import PersemError
-from persem_ros.inputs.decode import messages
+from persem_ros.inputs.decode import legends, messages
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.settings.config import Topics, topics_of
 
@@ -12,14 +12,14 @@ IMAGE = 'sensor_msgs/msg/Image'
 COMPRESSED = 'sensor_msgs/msg/CompressedImage'
 INFO = 'sensor_msgs/msg/CameraInfo'
 TF = 'tf2_msgs/msg/TFMessage'
-STRING = 'std_msgs/msg/String'
 POSES = {'PoseStamped': 'geometry_msgs/msg/PoseStamped',
          'PoseWithCovarianceStamped': 'geometry_msgs/msg/PoseWithCovarianceStamped',
          'Odometry': 'nav_msgs/msg/Odometry',
          'TransformStamped': 'geometry_msgs/msg/TransformStamped'}
 NEEDED = {'labels': 'label images', 'depth': 'depth images', 'camera_info': 'camera infos',
           'pose': 'poses'}
-OPTIONAL = {'truth': 'true label images', 'color': 'colour images'}
+OPTIONAL = {'truth': 'true label images', 'color': 'colour images',
+            'confidence': 'confidence images', 'depth_confidence': 'depth confidence images'}
 TRANSPORTS = ('compressed', 'compressedDepth')
 SHOWN = 6           # candidates in one refusal
 TRIED = 10          # messages of a topic that are decoded to find a good one
@@ -58,7 +58,7 @@ class Choice:
         self.tf = [t for t in filled if t.msgtype == TF and t.name.rpartition('/')[2] == 'tf']
         self.tf_static = [t for t in filled
                           if t.msgtype == TF and t.name.rpartition('/')[2] == 'tf_static']
-        self.legends = [t for t in filled if t.msgtype == STRING and t.name.endswith('legend')]
+        self.legends = _legends(filled, config.labels.topic)
         self.problems = []
         self.cameras = {name: self._camera(config, name)
                         for name in [n for n in config.cameras if n] or ['']}
@@ -96,6 +96,8 @@ class Choice:
         chosen, missing = {}, {}
         for kind in (*NEEDED, *OPTIONAL):
             wanted = getattr(topics, kind)
+            if not wanted:
+                continue
             if kind == 'pose' and config.pose.source == 'tf':
                 if not self.tf:
                     missing[kind] = 'no /tf, which pose.source=tf needs'
@@ -104,7 +106,8 @@ class Choice:
                 chosen[kind] = self._find(kind, wanted)
             except LookupError as error:
                 # The default of an optional topic may be missing; a name that was typed may not.
-                if kind in NEEDED or not wanted.endswith(getattr(Topics(), kind)):
+                usual = getattr(Topics(), kind)
+                if kind in NEEDED or not usual or not wanted.endswith(usual):
                     missing[kind] = f'no {(NEEDED | OPTIONAL)[kind]} on {wanted!r}{error}'
         # What is offered depends on what the other kinds have, so it comes last.
         for kind, problem in missing.items():
@@ -165,6 +168,17 @@ class Choice:
         flags = flags + [extra] if extra else flags
         other = 'other ' if any(map(self.candidates, kinds)) else ''
         return f' ({" or ".join(flags)})' if flags else f' (no {other}topic of that kind is there)'
+
+
+def _legends(topics, wanted):
+    """Return the topic with class names, [] where there is none: one, for two may contradict."""
+    fitting = [t for t in topics if t.msgtype in legends.TYPES]
+    ways = (lambda t: t.name.strip('/') == wanted.strip('/'),
+            lambda t: t.name.endswith('/' + wanted.strip('/')),
+            lambda t: t.msgtype == legends.LABEL_INFO,
+            lambda t: t.name.endswith('legend'),
+            lambda t: t.name.endswith(('semantic_labels', 'label_info', '/labels')))
+    return next(([t] for way in ways for t in fitting if way(t)), [])
 
 
 def first_messages(source, names):

@@ -12,6 +12,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 LABELS, DEPTH, TRUTH, COLOR = 'labels', 'depth', 'truth', 'color'
+CONFIDENCE, DEPTH_CONFIDENCE = 'confidence', 'depth_confidence'
 NO_DEPTH = 'no depth within tolerance'
 REPEATED = 'stamp repeated'
 WENT_BACK = 'stamp went back'
@@ -88,22 +89,27 @@ class Synchronizer:
     dropped : collections.Counter, optional
         Where reasons are counted. A reason without a colon counts label images; others start
         with their kind ('depth: ').
+    needed : tuple of str
+        Kinds without which there is no match.
 
     Attributes
     ----------
+    needed : frozenset of str
+        The same and `LABELS`.
     on_drop : callable
         on_drop(match, reason) hears of each label image that is dropped after it has waited.
 
     """
 
     def __init__(self, sync, lookup=None, companions=(), patient=False, pose_wait=None,
-                 keep=KEEP, max_bytes=256 << 20, dropped=None):
+                 keep=KEEP, max_bytes=256 << 20, dropped=None, needed=(DEPTH,)):
         """Start empty."""
         self.dropped = Counter() if dropped is None else dropped
         self._keep_for, self._wait_for_pose = keep, pose_wait
         self.configure(sync)
         self._lookup = lookup
-        self._partners = (DEPTH, *companions)
+        self.needed = frozenset((LABELS, *needed))
+        self._partners = (*needed, *companions)
         self._patient = patient
         self._max_bytes = max_bytes
         self.on_drop = lambda match, reason: None
@@ -179,6 +185,8 @@ class Synchronizer:
             self.dropped[REPEATED] += 1
             return False
         match = Match(stamp, {LABELS: item}, None, now, None, size, set(self._partners))
+        if len(self.needed) == 1:
+            match.complete = now
         self._matches.insert(i, match)
         for kind in self._partners:
             queue = self._queues[kind]
@@ -209,7 +217,7 @@ class Synchronizer:
         match.items[kind] = waiting.item
         match.size += waiting.size
         match.missing.discard(kind)
-        if kind == DEPTH:
+        if kind in self.needed and not self.needed & match.missing:
             match.complete = now
 
     def _settle(self, now):
@@ -219,13 +227,14 @@ class Synchronizer:
             for kind in [k for k in self._partners if k in match.missing]:
                 latest = self._latest[kind]
                 passed = latest is not None and latest > match.stamp
-                hurried = kind != DEPTH and not self._patient and DEPTH not in match.missing
+                hurried = kind not in self.needed and not self._patient \
+                    and not self.needed & match.missing
                 if not (passed or waited or hurried):
                     continue
                 nearest = self._nearest(kind, match.stamp)
                 if nearest is not None:
                     self._join(match, kind, self._queues[kind].pop(nearest), now)
-                elif kind != DEPTH and self._patient and (passed or waited):
+                elif kind not in self.needed and self._patient and (passed or waited):
                     match.missing.discard(kind)
 
     def _nearest(self, kind, stamp):
@@ -239,11 +248,12 @@ class Synchronizer:
     def _head_leaves(self, now, leaving):
         """Let the earliest label image leave or drop; return False where it has to wait."""
         match = self._matches[0]
-        if DEPTH in match.missing:
+        if self.needed & match.missing:
             # A later depth image does not end the wait: this one's own may be on its way.
             if now - match.arrival < self._wait:
                 return False
-            self._drop_head(NO_DEPTH)
+            lacking = min(self.needed & match.missing, key=lambda kind: kind != DEPTH)
+            self._drop_head(f'no {lacking} within tolerance')
             return True
         if self._patient and match.missing and now - match.arrival < self._wait:
             return False
@@ -298,7 +308,7 @@ class Synchronizer:
 
     def _why_full(self, match):
         """Return what the earliest label image waits for, if that is why the queue is full."""
-        if DEPTH in match.missing or self._lookup is None:
+        if self.needed & match.missing or self._lookup is None:
             return QUEUE_FULL
         return self._lookup(match).reason or QUEUE_FULL
 

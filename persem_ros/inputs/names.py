@@ -1,0 +1,172 @@
+"""Names are identity: ids of tables that change become the map's ids (spec section 11)."""
+
+from bisect import bisect_right
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from persem_ros.frames import IGNORED, MAX_ID, UNKNOWN
+from persem_ros.inputs.decode.legends import Table
+from persem_ros.settings.config import Config
+from persem_ros.settings.legend import Legend, LegendClass
+
+
+KEPT = 1000     # tables: some publish one with every image
+
+
+class _Known(NamedTuple):
+    """A table and what becomes of its ids."""
+
+    table: Table
+    ids: dict[int, int] | None      # the map's id of each, None: they are the map's already
+    used: frozenset[int]            # ids that were another class's of the map
+
+    def new(self) -> NDArray[np.int32] | None:
+        """Return the map's id of every id, (65536,), -1 for none; None: they are the map's."""
+        if self.ids is None:
+            return None
+        new = np.arange(UNKNOWN + 1, dtype=np.int32)
+        new[sorted(self.used)] = IGNORED
+        new[list(self.ids)] = list(self.ids.values())
+        return new
+
+
+class Names:
+    """
+    The classes of the map, by name.
+
+    The first table gives the map its ids; where labels.legend is set, that does. Whatever comes
+    later is renamed by name. An id that a table does not name keeps its number where the map has
+    no class of that number, and is no label otherwise.
+
+    Parameters
+    ----------
+    config : persem_ros.settings.config.Config
+        The ids of memory.ignore_labels and memory.dynamic_labels are given to no new class.
+    legend : Legend, optional
+        That of labels.legend (or of the map to go on with): its ids are the map's.
+
+    Attributes
+    ----------
+    legend : Legend
+        Of the map, grows with new names; without classes before the first table.
+
+    """
+
+    def __init__(self, config: Config, legend: Legend | None = None) -> None:
+        """Start without tables."""
+        self.legend = legend or Legend()
+        self._given = bool(legend and legend.classes)
+        self._reserved = {*config.memory.ignore_labels, *config.memory.dynamic_labels, UNKNOWN}
+        self._ignored = {*config.memory.ignore_labels, UNKNOWN}
+        self._stamped: list[_Known] = []        # by stamp
+        self._arrived: list[_Known] = []        # in order of arrival
+        self._gone = 0                          # of these, forgotten
+        self._last: tuple[_Known, NDArray[np.int32] | None] | None = None
+
+    def add(self, table: Table) -> None:
+        """Take a table that came on a topic."""
+        stamp, tables = table.stamp, self._arrived if table.stamp is None else self._stamped
+        at = len(tables) if stamp is None else bisect_right(tables, stamp, key=_stamp)
+        if at and tables[at - 1].table.legend == table.legend:
+            return
+        tables.insert(at, _Known(table, *self._renamed(table.legend)))
+        if len(tables) > KEPT:
+            del tables[0]
+            self._gone += stamp is None
+
+    @property
+    def arrived(self) -> int:
+        """Return how many different tables without a stamp have come."""
+        return self._gone + len(self._arrived)
+
+    @property
+    def changes(self) -> bool:
+        """Return whether any id has another number in the map than where it came from."""
+        return any(one.ids is not None for one in (*self._stamped, *self._arrived))
+
+    def at(self, stamp: int, arrived: int) -> tuple[Legend, NDArray[np.int32] | None]:
+        """
+        Return what holds for an image.
+
+        Parameters
+        ----------
+        stamp : int
+            Its header stamp, ns.
+        arrived : int
+            How many tables without a stamp had come before it.
+
+        Returns
+        -------
+        Legend
+            Whose colours the image may have; its ids are the image's.
+        ndarray, shape (65536,), int32, or None
+            The map's id of each of the image's, -1 for none; None: they are the map's.
+
+        """
+        if self._stamped:
+            known = self._stamped[max(bisect_right(self._stamped, stamp, key=_stamp), 1) - 1]
+        elif self._arrived:
+            place = max(arrived - self._gone, 1) - 1
+            known = self._arrived[min(place, len(self._arrived) - 1)]
+        else:
+            return self.legend, None
+        if known.ids is None and self._given:
+            return self.legend, None
+        if self._last is None or self._last[0] is not known:
+            self._last = known, known.new()
+        return known.table.legend, self._last[1]
+
+    def _renamed(self, theirs: Legend) -> tuple[dict[int, int] | None, frozenset[int]]:
+        """Return the map's ids of a table's and those of other classes; learn new names."""
+        ours = {item.name: item.id for item in self.legend.classes}
+        if not ours:
+            self.legend = theirs
+            return None, frozenset()
+        first = not self._stamped and not self._arrived
+        fits = all(ours.get(item.name, item.id) == item.id for item in theirs.classes)
+        if first and self._given and fits:      # the same ids, called otherwise at most
+            return None, frozenset()
+        used, learned = set(ours.values()), []
+        ids = {i: i for i in self._ignored if 0 <= i <= UNKNOWN}
+        for item in theirs.classes:
+            if item.id in self._ignored:
+                continue
+            if item.name not in ours:
+                ours[item.name] = self._free(used)
+                used.add(ours[item.name])
+                learned.append(_numbered(item, ours[item.name]))
+            ids[item.id] = ours[item.name]
+        if learned:
+            self.legend = Legend(self.legend.title, (*self.legend.classes, *learned))
+        same = all(i == n for i, n in ids.items()) and used <= set(ids)
+        return (None if same else ids), frozenset(used)
+
+    def _free(self, used: set[int]) -> int:
+        """Return the lowest id for a new name."""
+        return next(i for i in range(MAX_ID + 1) if i not in used and i not in self._reserved)
+
+
+def renamed(labels: NDArray[np.int32], new: NDArray[np.int32] | None) -> NDArray[np.int32]:
+    """Return *labels* (H, W) under the ids of Names.at(); what is out of range is no label."""
+    if new is None:
+        return labels
+    inside = (labels >= 0) & (labels <= UNKNOWN)
+    return np.where(inside, new[np.where(inside, labels, 0)], IGNORED)
+
+
+def filled(config: Config, legend: Legend | None, tables: Iterable[Table]) -> Names:
+    """Return Names with tables that are all known: those with stamps first, as in a replay."""
+    names, tables = Names(config, legend), list(tables)
+    for table in sorted(tables, key=lambda one: one.stamp is None):
+        names.add(table)
+    return names
+
+
+def _stamp(known: _Known) -> int:
+    return known.table.stamp or 0
+
+
+def _numbered(item: LegendClass, number: int) -> LegendClass:
+    return LegendClass(number, item.name, item.color, item.group, item.ignored, item.dynamic)
