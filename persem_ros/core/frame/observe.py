@@ -106,8 +106,8 @@ def gather(keys, base, labels, min_pixels, stamp, T_map_sensor, sensor, offsets=
     """
     if offsets is None or len(keys) > MOST_OFFSETS:
         offsets = np.empty(0, np.int32)
-    if weights is not None:
-        weights = np.require(weights, np.uint32, 'CW').reshape(-1)
+    weights = np.empty(0, np.uint32) if weights is None else \
+        np.require(weights, np.uint32, 'CW').reshape(-1)
     labels = np.require(labels, np.int32, 'CW').reshape(-1)
     where = np.empty(len(keys), np.int32)
     halves = sum(split(_halves, 2, keys, base, labels, offsets, int(min_pixels), where, weights,
@@ -208,20 +208,22 @@ def key_of(x, y, z, pose, base, voxel_size):
 TALLY = np.dtype([('key', 'i8'), ('id', 'i4'), ('count', 'i4'), ('more', 'i4'), ('x', 'u4'),
                   ('y', 'u4'), ('z', 'u4')])
 EXTRA = np.dtype([('id', 'i4'), ('count', 'i4'), ('more', 'i4')])
-# The same where points have weights: their sum, and in the first record their number.
-WEIGHED = np.dtype([*((name, 'i8' if name == 'count' else kind) for name, kind in TALLY.descr),
-                    ('number', 'i8')])
+# The same where points have weights, whose sums are larger.
+WEIGHED = np.dtype([(name, 'i8' if name == 'count' else kind) for name, kind in TALLY.descr])
 WEIGHED_EXTRA = np.dtype([('id', 'i4'), ('count', 'i8'), ('more', 'i4')])
 ONE = 1 << 16       # the weight of a label that is certain
 
 
 def _halves(begin, end, *arguments):
     """Return what group() returns for the halves begin .. end of the world."""
-    return [group(half, *arguments) for half in range(begin, end)]
+    keys, weights = arguments[0], arguments[-1]
+    kinds = (WEIGHED, WEIGHED_EXTRA) if len(weights) else (TALLY, EXTRA)
+    return [group(half, *arguments, *(np.empty(len(keys), kind) for kind in kinds))
+            for half in range(begin, end)]
 
 
 @kernel
-def group(half, keys, base, labels, offsets, min_pixels, where, weights):
+def group(half, keys, base, labels, offsets, min_pixels, where, weights, tallies, extras):
     """
     Gather points by voxel and vote: the heart of observe().
 
@@ -237,12 +239,8 @@ def group(half, keys, base, labels, offsets, min_pixels, where, weights):
     while 6 << (64 - np.int64(bits)) < len(keys):
         bits -= np.uint64(1)
     table = np.zeros(1 << (64 - np.int64(bits)), np.int32)
-    if weights is None:     # decided when it is compiled
-        tallies = np.empty(len(keys), TALLY)
-        extras = np.empty(len(keys), EXTRA)
-    else:
-        tallies = np.empty(len(keys), WEIGHED)
-        extras = np.empty(len(keys), WEIGHED_EXTRA)
+    weighed = len(weights) > 0
+    numbers = np.empty(len(weights), np.int32)      # of counted points
     seen = np.zeros(65536, np.uint8)
     n, n_extras, measured = 0, 0, len(offsets) > 0
     last, last_key = 0, NOWHERE
@@ -270,8 +268,8 @@ def group(half, keys, base, labels, offsets, min_pixels, where, weights):
                 tallies[g].count = 0
                 tallies[g].more = -1
                 tallies[g].x = tallies[g].y = tallies[g].z = 0
-                if weights is not None:
-                    tallies[g].number = 0
+                if weighed:
+                    numbers[g] = 0
                 if 10 * n > 7 * len(table):
                     bits -= np.uint64(1)
                     table = _grown(table, bits, tallies, n)
@@ -281,9 +279,9 @@ def group(half, keys, base, labels, offsets, min_pixels, where, weights):
         if not 0 <= c <= MAX_ID:
             continue
         weight = np.int64(1)
-        if weights is not None:
+        if weighed:
             weight = np.int64(weights[p])
-            tallies[g].number += 1
+            numbers[g] += 1
         if measured:
             tallies[g].x += offsets[p] >> 16
             tallies[g].y += offsets[p] >> 8 & 255
@@ -304,7 +302,7 @@ def group(half, keys, base, labels, offsets, min_pixels, where, weights):
         voxels[g, 0] = (key >> 42) - REACH + base[0]
         voxels[g, 1] = (key >> 21 & 0x1fffff) - REACH + base[1]
         voxels[g, 2] = (key & 0x1fffff) - REACH + base[2]
-    best, confidence, means = _vote(np.int64(n), min_pixels, tallies, extras, measured, weights)
+    best, confidence, means = _vote(np.int64(n), min_pixels, tallies, extras, measured, numbers)
     return voxels, best, confidence, means, seen
 
 
@@ -345,11 +343,11 @@ def _grown(table, bits, tallies, n):
 
 
 @kernel
-def _vote(n, min_pixels, tallies, extras, measured, weights):
+def _vote(n, min_pixels, tallies, extras, measured, numbers):
     """
     Return each voxel's most frequent id (a tie: the smaller), its share, the mean offset.
 
-    Where there are *weights*, counts are their sums.
+    Where counts are sums of weights, *numbers* are those of the counted points; else it is empty.
 
     """
     best = np.full(n, UNKNOWN, np.uint16)
@@ -365,14 +363,12 @@ def _vote(n, min_pixels, tallies, extras, measured, weights):
             if count > most or (count == most and c < label):
                 most, label = count, c
             e = np.int64(extras[e].more)
-        if weights is not None:
-            total = np.int64(tallies[g].number)
+        if len(numbers) > 0:
+            total = np.int64(numbers[g])
         if total >= min_pixels and total > 0:
             best[g] = label
-            if weights is None:
-                confidence[g] = np.float32(most / total)
-            else:
-                confidence[g] = np.float32(most / (total * ONE))
+            share = most / total
+            confidence[g] = np.float32(share / ONE if len(numbers) > 0 else share)
             if measured:    # rounded, not cut off: the mean of offsets that were cut off
                 means[g, 0] = min((2 * np.int64(tallies[g].x) + total) // (2 * total), 255)
                 means[g, 1] = min((2 * np.int64(tallies[g].y) + total) // (2 * total), 255)
