@@ -93,7 +93,7 @@ def test_a_split_file_that_is_missing_is_named_and_the_others_are_read(tmp_path,
     found, notes = read(path)
     assert found == stamps(0, 1, 4, 5)
     assert any(f'bag_1.{suffix}' in note and '(8 messages)' in note for note in notes)
-    assert any('/semantic/image 4 of 6' in note for note in notes)
+    assert any('/semantic/image has 4 messages, not 6' in note for note in notes)
 
 
 def test_files_that_are_all_missing(tmp_path):
@@ -123,8 +123,8 @@ def test_counts_of_metadata_that_differ_from_the_files_are_said_by_topic(tmp_pat
     edit(path, change)
     found, notes = read(path)
     assert found == stamps(*range(5))
-    assert notes == ['bag: messages found, of those that metadata.yaml counts: /depth/image 5 '
-                     'of 7']
+    assert notes == ['bag: the files differ from what metadata.yaml counts: /depth/image has 5 '
+                     'messages, not 7']
 
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
@@ -227,7 +227,7 @@ def test_a_write_ahead_log_is_read_and_nothing_is_changed(tmp_path):
     (path / 'bag.db3-wal').unlink()
     found, notes = read(path)
     assert found == stamps(0, 1)
-    assert any('/semantic/image 3 of 5' in note for note in notes)
+    assert any('/semantic/image has 3 messages, not 5' in note for note in notes)
 
 
 def test_metadata_given_as_the_recording(tmp_path):
@@ -299,6 +299,7 @@ def test_messages_of_other_systems_beside_good_ones_are_named(tmp_path):
 @pytest.mark.parametrize('name, content, word', [
     ('old.bag', b'#ROSBAG V2.0\n', 'rosbags-convert --src'),
     ('old', b'#ROSBAG V2.0\n', 'ROS 1 recording'),
+    ('old.bag.active', b'#ROSBAG V2.0\n', 'rosbag reindex old.bag'),
     ('flight.mcap', b'version https://git-lfs.github.com/spec/v1\n', 'git lfs pull'),
     ('flight.zip', b'PK\x03\x04', 'unpack it'),
     ('notes.txt', b'hello', "file of type '.txt'")])
@@ -317,3 +318,25 @@ def test_a_file_may_have_any_name(tmp_path, storage, suffix):
     path = bags.write(tmp_path / 'bag', storage=storage)
     (path / f'bag.{suffix}').rename(tmp_path / 'flight')
     assert read(tmp_path / 'flight') == (stamps(*range(5)), [])
+
+
+def test_one_topic_in_both_recordings_of_an_input_is_said(tmp_path):
+    first, second = bags.write(tmp_path / 'a'), bags.write(tmp_path / 'b', frames=7)
+    found, notes = read(f'{first}+{second}')
+    assert found == stamps(*range(7))
+    assert '/semantic/image is in a and in b: of messages with one stamp that of a is used' in \
+        notes
+
+
+def test_metadata_of_a_recorder_on_windows(tmp_path):
+    path = bags.write(tmp_path / 'bag')
+    edit(path, lambda info: {**info, 'relative_file_paths': ['bag\\bag.mcap']})
+    assert read(path) == (stamps(*range(5)), [])
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+@pytest.mark.parametrize('compress', [False, True])
+def test_a_long_recording_whose_heads_are_not_kept(tmp_path, storage, compress, monkeypatch):
+    monkeypatch.setattr('persem_ros.inputs.recording.source.REMEMBERED', 3)
+    path = bags.write(tmp_path / 'bag', storage=storage, compress=compress)
+    assert read(path) == (stamps(*range(5)), [])

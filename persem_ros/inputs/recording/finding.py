@@ -181,6 +181,10 @@ def _check_file(path: Path) -> None:
     """Refuse a file that is no storage file, by what it begins with; let pass what may be one."""
     with path.open('rb') as stream:
         head = stream.read(64)
+    if head.startswith(ROS1) and path.suffix == '.active':
+        raise PersemError(f'{path} is a ROS 1 recording that was not closed; rename it to '
+                          f"{path.stem}, repair it with 'rosbag reindex {path.stem}', then "
+                          f"'rosbags-convert --src {path.stem} --dst NAME' makes a rosbag2 one")
     if head.startswith(ROS1):
         raise PersemError(f'{path} is a ROS 1 recording, expected a rosbag2 one; '
                           f"'rosbags-convert --src {quote(str(path))} --dst "

@@ -28,7 +28,7 @@ RECORD = struct.Struct('<BQ')
 MESSAGE_HEAD = struct.Struct('<HIQQ')
 ALONE = (1 << 23) - 1       # in a place: a message outside of all chunks
 KEPT = 64 << 20             # bytes of decompressed chunks that are kept
-PEEK = 1 << 16              # bytes that are read at once where only heads are wanted
+PEEK = 1 << 14              # bytes that are read at once where only heads are wanted
 
 
 class Chunk(NamedTuple):

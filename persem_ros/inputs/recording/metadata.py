@@ -44,11 +44,11 @@ def read(path: Path) -> Metadata:
         content = yaml.load(path.read_text(encoding='utf-8'), LOADER)
         info = content['rosbag2_bagfile_information']
         # The first versions of rosbag2 put the folder's name before the file's.
-        found.files = [PurePosixPath(str(name)).name for name in info['relative_file_paths']]
+        found.files = [_name(path) for path in info['relative_file_paths']]
         for row in info['topics_with_message_count']:
             found.counts[str(row['topic_metadata']['name'])] += int(row['message_count'])
         for row in info.get('files') or []:
-            found.by_file[PurePosixPath(str(row['path'])).name] = int(row['message_count'])
+            found.by_file[_name(row['path'])] = int(row['message_count'])
     except OSError as error:
         found.fault = error.strerror or 'cannot be read'
     except yaml.YAMLError as error:
@@ -58,3 +58,8 @@ def read(path: Path) -> Metadata:
     except (KeyError, TypeError, AttributeError):
         found.fault = 'it has not the form of rosbag2'
     return found
+
+
+def _name(path: object) -> str:
+    """Return the name in a path, which a recorder on Windows writes with backslashes."""
+    return PurePosixPath(str(path).replace('\\', '/')).name

@@ -15,8 +15,10 @@ from persem_ros.inputs.recording import finding, packing
 from persem_ros.inputs.recording.channels import Channel
 from persem_ros.inputs.recording.mcap_file import McapFile
 from persem_ros.inputs.recording.sqlite_file import SqliteFile
+from persem_ros.inputs.recording.stamps import FIRST, HEAD, offset
 
 SHOWN = 4               # topics in a note
+REMEMBERED = 200_000    # messages of an input whose heads are kept, 250 bytes each
 
 
 class TopicInfo(NamedTuple):
@@ -74,13 +76,17 @@ class Source:
         self._unpacked: TemporaryDirectory[str] | None = None
         self._packed: list[Path] = []
         self._sizes = 0
+        self._heads: list[Head] | None = None       # of all messages, where they are few
         recordings = [finding.found(part) for part in finding.split(path)]
         self.name = '+'.join(found.path.stem if found.path.is_file() else
                              found.path.resolve().name for found in recordings)
         try:
+            ends = []
             for found in recordings:
                 self._open(found)
+                ends.append(len(self._files))
             self.topics = self._topics()
+            self._note_twice(recordings, ends)
         except BaseException:
             self.close()
             raise
@@ -153,6 +159,13 @@ class Source:
 
     def heads(self, names: Collection[str]) -> Iterator[Head]:
         """Walk over the messages of some topics without reading them, as messages() does."""
+        if self._heads is None and sum(topic.count for topic in self.topics) <= REMEMBERED:
+            self._heads = list(self._walked({topic.name for topic in self.topics}))
+        if self._heads is None:
+            return self._walked(names)
+        return (head for head in self._heads if head.topic in names)
+
+    def _walked(self, names: Collection[str]) -> Iterator[Head]:
         for k, file in enumerate(self._files):
             chosen = {c.number: c for c in self._channels(file) if c.topic in names}
             if not chosen:
@@ -161,7 +174,7 @@ class Source:
                 channel = chosen[number]
                 if start[:4] == packing.ZSTD:
                     start = self.read(k, place)
-                yield Head(channel.topic, channel.msgtype, time, k, place, start)
+                yield Head(channel.topic, channel.msgtype, time, k, place, bytes(start[:HEAD]))
 
     def read(self, file: int, place: int) -> bytes:
         """Return the message that a Head tells of, b'' where it cannot be read any more."""
@@ -290,18 +303,31 @@ class Source:
                 f'{f" ({lost} messages)" if lost else ""}: copy it there for the whole recording')
         if found.metadata is None:
             return
-        there: Counter[str] = Counter()
+        there: Counter[str] = Counter()     # also of what is not in cdr
         for file in opened:
             for channel in file.channels:
                 there[channel.topic] += channel.count
-        differ = [f'{topic} {there[topic]} of {count}'
+        differ = [f'{topic} has {there[topic]} messages, not {count}'
                   for topic, count in sorted(found.metadata.counts.items())
                   if there[topic] != count]
         if differ:
             shown = ', '.join(differ[:SHOWN]) + (
-                f' and {len(differ) - SHOWN} more topics' if len(differ) > SHOWN else '')
-            self._notes.append(f'{found.path.name}: messages found, of those that metadata.yaml '
+                f', and {len(differ) - SHOWN} more topics' if len(differ) > SHOWN else '')
+            self._notes.append(f'{found.path.name}: the files differ from what metadata.yaml '
                                f'counts: {shown}')
+
+    def _note_twice(self, recordings: list[finding.Found], ends: list[int]) -> None:
+        """Note images and poses that several recordings of one input have under one name."""
+        holders: dict[str, list[str]] = {}
+        for found, start, end in zip(recordings, [0, *ends], ends):
+            for topic in {c.topic for file in self._files[start:end]
+                          for c in self._channels(file)
+                          if c.count and offset(c.msgtype) == FIRST}:
+                holders.setdefault(topic, []).append(found.path.name)
+        for topic, names in sorted(holders.items()):
+            if len(names) > 1:
+                self._notes.append(f'{topic} is in {" and in ".join(names)}: of messages with one '
+                                   f'stamp that of {names[0]} is used')
 
 
 def _line(error: Exception) -> str:
