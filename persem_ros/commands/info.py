@@ -50,6 +50,8 @@ def run(args):
         if excerpt != WHOLE and not choice.problems and not of_severity(found, REFUSE):
             found.append(part(source, sample.config, excerpt))
         lacking = choice.problems + [f.text() for f in of_severity(found, REFUSE)]
+        if not lacking and not any(used for used, _ in counts):
+            lacking = ['no label image finds its depth and its pose']
         words = [word for item in args.set_items for word in ('--set', item)]
         words += ['--config', args.config] if args.config else []
         words += [word for item in takes_of(found).items() for word in ('--set', '='.join(item))]

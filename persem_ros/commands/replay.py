@@ -55,24 +55,26 @@ def run(args):
             watchers.append(FigureWatcher(args.figure))
         result = replay(args.bags, args.out, config, methods, args.causal, args.force, watchers,
                         excerpt=excerpt_of(args))
-    print(summary(result, truth.missing))
+    print(summary(result, truth.missing, truth.reasons))
     print(f'\nresults in {args.out}, to be looked at: {Path(args.out) / "report.html"}')
 
 
 class _Truth:
-    """A watcher of the replay that asks in the end why accuracy is unknown."""
+    """A watcher of the replay that asks in the end why accuracy is unknown and frames dropped."""
 
     missing = ''
+    reasons = {}
 
     def frame(self, replay, frame, rendering):
         """Pass over a frame."""
 
     def finish(self, replay, result):
-        """Keep the reason, '' where accuracy is known."""
+        """Keep the reason, '' where accuracy is known, and why frames were dropped."""
         self.missing = replay.without_truth()
+        self.reasons = dict(replay.recording.examples)
 
 
-def summary(result, without_truth=''):
+def summary(result, without_truth='', reasons=None):
     """
     Return what metrics.json holds as a small table for people.
 
@@ -82,13 +84,17 @@ def summary(result, without_truth=''):
         The content of metrics.json.
     without_truth : str
         Why accuracy is unknown, '' where it is known.
+    reasons : dict of str to str, optional
+        A sentence for each reason why something was dropped.
 
     """
     frames = result['frames']
     dropped = sum(frames['dropped'].values())
     lines = [f'{frames["used"]} frames used, {dropped} dropped; {result["voxels"]} voxels, '
              f'{result["observations"]} observations']
-    lines += [f'  {n} dropped: {reason}' for reason, n in sorted(frames['dropped'].items())]
+    for reason, n in sorted(frames['dropped'].items()):
+        why = (reasons or {}).get(reason, '')
+        lines.append(f'  {n} dropped: {reason}' + (f'; {why}' if why and why != reason else ''))
     lines += ['', f'{"method":<16}{"PA %":>8}{"mIoU %":>8}{"flicker %":>11}']
     for name, row in result['methods'].items():
         lines.append(f'{name:<16}{_cell(row["pixel_accuracy"], 8)}{_cell(row["miou"], 8)}'

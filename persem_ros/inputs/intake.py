@@ -4,16 +4,21 @@ from functools import partial
 import heapq
 from typing import NamedTuple
 
+import numpy as np
+
 from persem_ros.inputs.assemble import Assembler
 from persem_ros.inputs.decode import legends, messages
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.names import Names
 from persem_ros.inputs.sync.pairing import (
-    COLOR, CONFIDENCE, DEPTH, DEPTH_CONFIDENCE, KEEP, LABELS, Synchronizer, TRUTH)
-from persem_ros.inputs.sync.poses import Lookup, NO_MOUNT, OTHER_FRAME
+    COLOR, CONFIDENCE, DEPTH, DEPTH_CONFIDENCE, KEEP, LABELS, repeated, Synchronizer, TRUTH)
+from persem_ros.inputs.sync.poses import NO_MOUNT, OTHER_FRAME, UNSAID
+from persem_ros.inputs.sync.track import Lookup
 
 # At one stamp: whatever completes goes last.
 ORDER = {TRUTH: 0, COLOR: 1, CONFIDENCE: 2, DEPTH_CONFIDENCE: 3, DEPTH: 4, LABELS: 5}
+TOO_FAR = 'position too far away'
+VOXELS = 1 << 30        # from map.origin, within which a camera can be: voxels have 32 bits
 INFO, POSE, TF, LEGEND = 'camera_info', 'pose', 'tf', 'legend'
 NO_INFO = 'no camera info'
 QUEUE_BYTES = 256 << 20
@@ -98,6 +103,11 @@ class Intake:
         self._ready = []        # matches of all cameras, a heap
         self._missed = {}       # reason -> what a lookup without a pose was for
 
+    @property
+    def offset(self):
+        """Return what is added to the stamps of label images, ns."""
+        return round(self.config.sync.offset_labels * 1e9)
+
     def add_camera(self, name, poses, companions=(), needed=(DEPTH,)):
         """
         Add a camera whose poses come from the PoseBuffer *poses*; return its Station.
@@ -170,9 +180,9 @@ class Intake:
         """Hand an image to its synchroniser."""
         station.sync.push(role, stamp, raw, len(raw.data), now)
 
-    def no_mount(self, sentence):
+    def no_mount(self, reason, sentence):
         """Tell that poses do not lead to the camera, yet: *sentence* says what is missing."""
-        self.examples[NO_MOUNT] = sentence
+        self.examples[reason] = sentence
 
     def explain(self):
         """Write to `examples` why frames had no pose."""
@@ -190,7 +200,8 @@ class Intake:
     def _take(self, role, taker, kind, now, data):
         if role in ORDER:
             stamp, frame_id = messages.header(data)
-            self.push_image(taker, role, stamp,
+            at = stamp + (self.offset if role == LABELS else 0)
+            self.push_image(taker, role, at,
                             Raw(kind, data, frame_id, stamp, self.names.arrived), now)
             return
         msg = self._decode(data, kind)
@@ -200,8 +211,9 @@ class Intake:
         if role == INFO:
             taker.assembler.add_info(msg)
         elif role == POSE:
-            if not taker.add(*messages.pose(msg)):
-                self.dropped['pose: stamp repeated'] += 1
+            found = messages.pose(msg)
+            if not taker.add(*found):
+                self.dropped[f'pose: {repeated(found[0])}'] += 1
         else:
             good, faults = messages.transforms(msg)
             for found in good:
@@ -220,13 +232,23 @@ class Intake:
         depth, labels = match.items[DEPTH], match.items[LABELS]
         frame_id = depth.frame_id or labels.frame_id or info_frame
         found = poses.lookup(match.stamp, frame_id)
-        if found.reason == NO_MOUNT:
-            self.no_mount(poses.mount_sentence(frame_id))
+        if found.reason in (NO_MOUNT, UNSAID):
+            self.no_mount(found.reason, poses.mount_sentence(frame_id))
         elif found.reason == OTHER_FRAME:
             self.examples[OTHER_FRAME] = poses.other_frame_sentence()
         elif found.T is None:
             self._missed[found.reason] = poses, match.stamp, frame_id
+        elif not self._within(found.T):
+            self.examples.setdefault(TOO_FAR, (
+                f'position {found.T[:3, 3].tolist()} m is too far away for voxels of '
+                f'{self.config.memory.voxel_size} m: expected coordinates near map.origin'))
+            return Lookup(None, True, TOO_FAR)
         return found
+
+    def _within(self, T):
+        """Return whether a pose (4, 4) is where voxels can be numbered."""
+        away = np.abs(T[:3, 3] - np.array(self.config.map.origin)).max()
+        return bool(away < VOXELS * self.config.memory.voxel_size)
 
     def _frame(self, station, match):
         """Return the decoded frame of a match, None where it cannot be used."""

@@ -11,8 +11,8 @@ from persem_ros.inputs.sync.backlog import Backlog
 from persem_ros.inputs.sync.clocks import ANOTHER_CLOCK, Clocks
 from persem_ros.inputs.sync.pairing import DEPTH, KEEP, LABELS, NO_DEPTH, QUEUE_FULL, WENT_BACK
 from persem_ros.inputs.sync.partners import Partners
-from persem_ros.inputs.sync.poses import Lookup
 from persem_ros.inputs.sync.timeline import BACK, ODD, Timeline
+from persem_ros.inputs.sync.track import Lookup
 
 STALE = 'from before time went back'
 BEHIND = 'mapping is behind'
@@ -158,7 +158,7 @@ class LiveIntake(Intake):
 
     def _take_now(self, role, taker, kind, now, data):
         if role == LABELS:
-            stamp, _ = messages.header(data)
+            stamp = messages.header(data)[0] + self.offset
             latest, _ = self._heard.get(id(taker), (stamp, 0))
             self._heard[id(taker)] = max(stamp, latest), now
             self._partners[taker].labels(stamp)

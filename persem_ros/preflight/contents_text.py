@@ -21,8 +21,8 @@ def text(source, rows, choice, lacking, found=(), counts=(), words=()):
         Why a replay would be refused, sentences with flags.
     found : list of Finding
         What the checks found.
-    counts : list of int
-        How many frames of each camera a replay would use.
+    counts : list of (int, int)
+        How many label images of each camera a replay would use, and of how many.
     words : list of str
         The options of the replay, '--set', 'a=b', ….
 
@@ -51,6 +51,7 @@ def text(source, rows, choice, lacking, found=(), counts=(), words=()):
         ('tf', choice.tf if 'pose' not in next(iter(choice.cameras.values())) else []),
         ('tf_static', choice.tf_static), ('legend', choice.legends)) for topic in topics]
     lines += [f'{f.severity}: {f.text()}' for f in of_severity(found, NOTE, WARN)]
+    lines += [f'{used} of {total} label images find depth and pose' for used, total in counts]
     lines += [f'missing: {sentence}' for sentence in lacking]
     lines.append('not usable as it is' if lacking else 'usable: ' + join(
         ['persem', 'replay', str(source.path), '--out', 'DIR', *words]))

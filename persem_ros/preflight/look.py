@@ -10,7 +10,7 @@ from persem_ros.inputs.recording.excerpt import Excerpt, WHOLE
 from persem_ros.inputs.recording.recording import Recording
 from persem_ros.inputs.recording.source import Source
 from persem_ros.inputs.recording.topics import Choice
-from persem_ros.preflight import depth, frames, labels, recorded, stamps
+from persem_ros.preflight import depth, frames, labels, lag, poses, recorded, stamps
 from persem_ros.preflight.findings import Finding, NOTE, of_severity, REFUSE, WARN
 from persem_ros.preflight.sample import Sample
 from persem_ros.settings import config_file
@@ -19,7 +19,8 @@ from persem_ros.settings.config import Config
 log = logging.getLogger(__name__)
 # What a check takes holds for those after it: frames before whatever needs a pose.
 CHECKS: tuple[Callable[[Sample], Iterator[Finding]], ...] = (
-    labels.check, depth.check, frames.check, stamps.check)
+    labels.check, depth.check, frames.check, poses.check, stamps.check,
+    lag.check)
 # What compares frames with each other: only where nothing was refused before.
 FITS: tuple[Callable[[Sample], Iterator[Finding]], ...] = (depth.check_fit,)
 

@@ -22,6 +22,7 @@ from persem_ros.settings.legend import load_legend
 
 FIRSTS = 3              # messages of a role that are decoded to judge it
 FOREVER = 1e9           # s
+TREE = 100              # messages of a topic with transforms that tell its frames
 MOST = 200_000          # messages of a long recording that are looked at
 HEADS = 'heads'         # the role of those that keep the heads of a topic's messages
 IMAGES, POSE, TF = ('labels', 'depth', 'camera_info'), 'pose', 'tf'
@@ -41,36 +42,54 @@ def sample(source: Source, choice: Choice, config: Config) -> Sample:
         The settings.
 
     """
-    said = latched.read(source, choice)
-    statics, given = said.statics, config.labels.legend
-    legend = names.filled(config, load_legend(given) if given else None, said.tables).legend
-    buffers: dict[str, PoseBuffer] = {}
+    once = latched.read(source, choice)
+    given = config.labels.legend
+    legend = names.filled(config, load_legend(given) if given else None, once.tables).legend
     roles: dict[str, list[tuple[str, Any]]] = {}
-    heads: dict[str, dict[str, list[tuple[int, Head]]]] = {}
+    found = {}
     for name, chosen in choice.cameras.items():
-        heads[name] = {role: [] for role in (*IMAGES, POSE)}
+        poses = PoseBuffer(config, FOREVER)
+        for transform in once.of(choice.tf_static_of(name)):
+            poses.add_static(*transform)
+        heads: dict[str, list[tuple[int, Head]]] = {role: [] for role in (*IMAGES, POSE)}
+        found[name] = heads, poses
         for role in IMAGES:
-            roles.setdefault(chosen[role].name, []).append((HEADS, heads[name][role]))
-        key = chosen[POSE].name if POSE in chosen else TF
-        if key not in buffers:
-            buffers[key] = _buffer(config, statics)
-            for topic in [chosen[POSE]] if POSE in chosen else choice.tf:
-                roles.setdefault(topic.name, []).append((POSE if POSE in chosen else TF,
-                                                         buffers[key]))
-        for topic in [chosen[POSE]] if POSE in chosen else choice.tf:
-            roles.setdefault(topic.name, []).append((HEADS, heads[name][POSE]))
+            roles.setdefault(chosen[role].name, []).append((HEADS, heads[role]))
+        tf = choice.tf_of(name)
+        if POSE in chosen:
+            roles.setdefault(chosen[POSE].name, []).extend(((HEADS, heads[POSE]), (POSE, poses)))
+            tf = tf if _moves(source, chosen, poses) else []
+        for topic in tf:
+            roles.setdefault(topic.name, []).append((TF, poses))
     _read(source, roles)
-    views = [_view(source, config, name, chosen, heads[name],
-                   buffers[chosen[POSE].name if POSE in chosen else TF])
+    views = [_view(source, config, name, chosen, *found[name])
              for name, chosen in choice.cameras.items()]
-    return Sample(config, views, info_frames=_info_frames(source), legend=legend)
+    trees = {name: _trees(source, choice.tf_of(name), choice.tf_static_of(name))
+             for name in choice.cameras}
+    return Sample(config, views, info_frames=_info_frames(source), legend=legend, tf=trees)
 
 
-def _buffer(config: Config, statics: Iterable[tuple[Any, str, str]]) -> PoseBuffer:
-    poses = PoseBuffer(config, FOREVER)
-    for transform in statics:
-        poses.add_static(*transform)
-    return poses
+def _moves(source: Source, chosen: Mapping[str, TopicInfo], statics: PoseBuffer) -> bool:
+    """Return whether static transforms do not lead from a camera's poses to its images."""
+    firsts = first_messages(source, {chosen[POSE].name, chosen['depth'].name})
+    if len(firsts) < 2:
+        return False
+    child = getattr(firsts[chosen[POSE].name], 'child_frame_id', '').lstrip('/')
+    frame = messages.frame_id(firsts[chosen['depth'].name])
+    child = statics.child or child
+    return not child or child != frame and not statics.tree.connected(child, frame, False)
+
+
+def _trees(source: Source, *topics: Iterable[TopicInfo]) -> dict[str, set[str]]:
+    """Return the frames that a few transforms of each robot's topics name, by namespace."""
+    found: dict[str, set[str]] = {}
+    for topic in (topic for group in topics for topic in group):
+        frames = found.setdefault(topic.name.rpartition('/')[0], set())
+        for _, kind, _, data in islice(source.messages({topic.name}), TREE):
+            with suppress(BadMessage):
+                for _, _, parent, child in messages.transforms(source.decode(data, kind))[0]:
+                    frames |= {parent, child}
+    return found
 
 
 def _read(source: Source, roles: Mapping[str, list[tuple[str, Any]]]) -> None:

@@ -103,6 +103,8 @@ class Sample:
         The frames of all topics with camera infos, by topic, used or not.
     legend : Legend, optional
         Whose colours the label images may have.
+    tf : dict of str to dict of str to set of str
+        By camera: the frames in the transforms of each namespace that could be its robot's.
 
     """
 
@@ -111,3 +113,4 @@ class Sample:
     live: bool = False
     info_frames: Mapping[str, str] = field(default_factory=dict)
     legend: Legend | None = None
+    tf: Mapping[str, Mapping[str, set[str]]] = field(default_factory=dict)

@@ -1,47 +1,128 @@
-"""Stamps: how many label images would find their depth and their pose, and what is in the way."""
+"""Stamps: whether label images find their depth and their pose, and what is in the way."""
 
+from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
-from persem_ros.preflight.findings import Finding
+from persem_ros.preflight.findings import Finding, REFUSE, WARN
+from persem_ros.preflight.lag import distances
 from persem_ros.preflight.sample import Sample, Stamps, View
+
+NAMES = {'labels': 'label images', 'depth': 'depth images', 'pose': 'poses'}
+SOME = 0.1              # of the frames: fewer without a pose are said after the mapping
+MOST = 500              # frames whose pose is looked up
+OFF = 1.0               # s between two clocks, by that of the recorder
+STEADY = 0.2            # s that the way to the recorder may vary where clocks are compared
 
 
 def check(sample: Sample) -> Iterator[Finding]:
-    """Yield why label images would find no partner."""
-    yield from ()
+    """Yield why label images would find no depth or no pose."""
+    for view in sample.views:
+        zeros = list(_zeros(view))
+        apart = [] if zeros else list(_overlap(view, sample))
+        yield from zeros + apart
+        if not zeros and not apart:
+            yield from _clocks(view)
+            yield from _poses(view, sample)
 
 
-def distances(labels: Stamps, depth: Stamps) -> NDArray[np.int64]:
-    """
-    Return how far each label image is behind the nearest depth image.
-
-    Parameters
-    ----------
-    labels, depth : ndarray, shape (N,) and (M,), int64
-        Stamps, ns; M is at least 1.
-
-    Returns
-    -------
-    ndarray, shape (N,), int64
-        Nanoseconds, positive where the label image is later.
-
-    """
-    depth = np.unique(depth)
-    after = np.clip(np.searchsorted(depth, labels), 1, max(len(depth) - 1, 1))
-    before, after = depth[after - 1], depth[np.minimum(after, len(depth) - 1)]
-    nearer = np.abs(labels - before) <= np.abs(labels - after)
-    return np.asarray(labels - np.where(nearer, before, after), np.int64)
+def _zeros(view: View) -> Iterator[Finding]:
+    """Yield the topics without stamps."""
+    for role, name in NAMES.items():
+        stamps = view.stamps.get(role, np.zeros(0, np.int64))
+        zero = int(np.count_nonzero(stamps == 0))
+        if len(stamps) > 1 and 2 * zero > len(stamps):
+            topic = view.topics.get(role, '/tf')
+            yield Finding(REFUSE, f'{zero} of {len(stamps)} {name} on {topic} have the stamp 0: '
+                                  'nothing says which belong together; whoever publishes them '
+                                  'has to fill header.stamp (that of the image they were made of)')
 
 
-def usable(view: View, sample: Sample) -> int:
-    """Return how many of the label images looked at a replay would use."""
-    labels = np.unique(view.stamps['labels'])
-    if not len(labels) or not len(view.stamps['depth']):
-        return 0
+def _overlap(view: View, sample: Sample) -> Iterator[Finding]:
+    """Yield the topics whose stamps are of another time than those of the label images."""
+    labels = view.stamps['labels']
+    for role in ('depth', 'pose'):
+        other = view.stamps.get(role, np.zeros(0, np.int64))
+        if not len(labels) or not len(other) or sample.live:
+            continue
+        gap = max(int(other.min() - labels.max()), int(labels.min() - other.max()))
+        slack = max(sample.config.sync.tolerance, sample.config.pose.max_gap)
+        if gap > slack * 1e9 and not (role == 'depth' and fits_shifted(view, sample)):
+            yield Finding(REFUSE, f'the label images are stamped {_span(labels)}, the '
+                                  f'{NAMES[role]} on {view.topics.get(role, "/tf")} '
+                                  f'{_span(other)}, {gap / 1e9:.1f} s apart: they are of '
+                                  'different clocks or times (use_sim_time everywhere, chrony, '
+                                  'PTP)')
+
+
+def fits_shifted(view: View, sample: Sample) -> bool:
+    """Return whether one offset brings labels to depth, so that preflight.lag names it."""
+    labels, depth = np.unique(view.stamps['labels']), np.unique(view.stamps['depth'])
     tolerance = round(sample.config.sync.tolerance * 1e9)
-    near = np.abs(distances(labels, view.stamps['depth'])) <= tolerance
-    return sum(view.poses.lookup(stamp, view.image_frame).T is not None
-               for stamp in labels[near].tolist())
+    shifted = labels - (labels[0] - depth[0])
+    return bool(np.mean(np.abs(distances(shifted, depth)) <= tolerance) >= 0.9)
+
+
+def _clocks(view: View) -> Iterator[Finding]:
+    """Yield poses whose clock is seconds from that of the depth, as the recorder saw them."""
+    late = {}
+    for role in ('depth', 'pose'):
+        if not len(view.stamps.get(role, ())):
+            return
+        ways = (view.times[role] - view.stamps[role]) / 1e9
+        low, middle, high = np.percentile(ways, (10, 50, 90))
+        if high - low > STEADY:
+            return
+        late[role] = float(middle)
+    off = late['depth'] - late['pose']
+    if abs(off) > OFF:
+        yield Finding(WARN, f'the stamps of {view.topics.get("pose", "/tf")} are {abs(off):.1f} s '
+                            f'{"ahead of" if off > 0 else "behind"} those of '
+                            f'{view.topics["depth"]} by the clock of the recorder: if the clocks '
+                            'differ, every frame gets the pose of another moment (chrony, PTP, '
+                            'use_sim_time everywhere)')
+
+
+def _poses(view: View, sample: Sample) -> Iterator[Finding]:
+    """Yield why many of the frames would have no pose."""
+    stamps = paired(view, sample)
+    if not len(stamps):
+        return
+    stamps = stamps[np.linspace(0, len(stamps) - 1, min(len(stamps), MOST)).astype(int)]
+    reasons: Counter[str] = Counter()
+    first: dict[str, int] = {}
+    for stamp in stamps.tolist():
+        found = view.poses.lookup(stamp, view.image_frame)
+        if found.T is None:
+            reasons[found.reason] += 1
+            first.setdefault(found.reason, stamp)
+    if reasons.total() > SOME * len(stamps) or reasons.total() == len(stamps):
+        reason = max(reasons, key=lambda name: reasons[name])
+        severity = REFUSE if reasons.total() == len(stamps) and not sample.live else WARN
+        yield Finding(severity, f'{reasons.total()} of {len(stamps)} frames have no pose '
+                                f'({reason}): '
+                                f'{view.poses.explain(first[reason], view.image_frame)}')
+
+
+def paired(view: View, sample: Sample) -> Stamps:
+    """Return the stamps of the label images that find depth, ns, ascending."""
+    labels = np.unique(view.stamps['labels']) + round(sample.config.sync.offset_labels * 1e9)
+    if not len(labels) or not len(view.stamps['depth']):
+        return labels[:0]
+    tolerance = round(sample.config.sync.tolerance * 1e9)
+    found: Stamps = labels[np.abs(distances(labels, view.stamps['depth'])) <= tolerance]
+    return found
+
+
+def usable(view: View, sample: Sample) -> tuple[int, int]:
+    """Return how many label images a replay would use, and of how many that were looked at."""
+    stamps, total = paired(view, sample), len(view.stamps['labels'])
+    some = stamps[np.linspace(0, len(stamps) - 1, min(len(stamps), MOST)).astype(int)]
+    placed = sum(view.poses.lookup(stamp, view.image_frame).T is not None
+                 for stamp in some.tolist())
+    return round(placed * len(stamps) / max(len(some), 1)), total
+
+
+def _span(stamps: Stamps) -> str:
+    return f'{stamps.min() / 1e9:.3f} to {stamps.max() / 1e9:.3f} s'

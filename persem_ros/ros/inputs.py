@@ -121,10 +121,11 @@ class Inputs:
         self.stations = {}      # by camera
         self._colored = False
         self.all = []
+        self._tf = config.topics.tf or '/tf'
         for camera in [name for name in config.cameras if name] or ['']:
             self._add_camera(topics_of(config, camera), camera, intake)
         # Poses may be in another frame than the map; /tf says where that is.
-        for role, topic in ((TF, '/tf'), (TF_STATIC, '/tf_static')):
+        for role, topic in ((TF, self._tf), (TF_STATIC, f'{self._tf}_static')):
             if not any(one.role == role for one in self.all):
                 self._add(role, topic, list(self._buffers.values()), [TFMessage],
                           config.qos.pose if role == TF else 'latched', 1000)
@@ -198,7 +199,7 @@ class Inputs:
     def _add_camera(self, topics, camera, intake):
         qos, pose = self._config.qos, self._config.pose
         small = SMALL_FACTOR * qos.queue
-        name = topics.pose if pose.source == 'topic' else '/tf'
+        name = topics.pose if pose.source == 'topic' else self._tf
         if name not in self._buffers:
             buffer = self._buffers[name] = PoseBuffer(self._config, strict=True)
             if pose.source == 'tf':

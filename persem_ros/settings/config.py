@@ -136,6 +136,11 @@ class Pose:
         '', 'frame that the poses place in the map; empty: as the messages say', live=False)
     max_gap: float = setting(0.5, 'widest gap between two poses that is interpolated', 's',
                              0.0, 3600.0)
+    max_speed: float = setting(
+        100.0, 'poses that jump faster than this are not interpolated', 'm/s', 0.0, 1e6)
+    hold: tuple[Any, ...] = setting(
+        ('',), 'frames whose transform in /tf is held: the newest sample not later than the '
+        'stamp serves until the next, whatever its age; empty: none', live=False)
     extrinsic: tuple[Any, ...] = setting(
         (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
         'camera in the child frame of the pose: x y z qx qy qz qw; all 0: from /tf_static',
@@ -150,6 +155,9 @@ class Sync:
     """How label and depth images are paired."""
 
     tolerance: float = setting(0.02, 'largest difference of stamps in a pair', 's', 0.0, 60.0)
+    offset_labels: float = setting(
+        0.0, 'added to the stamps of label images: negative where they are stamped when the '
+        'network was done', 's', -3600.0, 3600.0, live=False)
     max_wait: float = setting(1.0, 'how long a frame waits for what is missing', 's', 0.0, 600.0)
     hold: float = setting(
         0.2, 'how long a frame waits for earlier ones of other cameras (node)', 's', 0.0, 60.0)
@@ -169,6 +177,9 @@ class Topics:
     depth: str = setting('depth/image', 'depth images', live=False)
     camera_info: str = setting('depth/camera_info', 'intrinsics of the depth images', live=False)
     pose: str = setting('pose', 'poses of the camera or body', live=False)
+    tf: str = setting(
+        '', 'transforms, /r1/tf, with /r1/tf_static; empty: /tf, in a replay those of the '
+        "camera's namespace", live=False)
     truth: str = setting('semantic/truth', 'true label images (replay only)', live=False)
     color: str = setting('color/image', 'colour images (report and overlay only)', live=False)
     labels_info: str = setting(
@@ -376,7 +387,7 @@ def _camera_topics(config: Config) -> tuple[Any, ...]:
     result = []
     for camera in (name for name in config.cameras if name):
         shared = {f.name: f'{camera}/{getattr(config.topics, f.name)}' for f in fields(Topics)
-                  if f.name != 'pose' and getattr(config.topics, f.name)}
+                  if f.name not in ('pose', 'tf') and getattr(config.topics, f.name)}
         result.append((camera, old.get(camera, replace(config.topics, **shared))))
     return tuple(result)
 

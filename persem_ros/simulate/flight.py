@@ -11,7 +11,7 @@ from typing import Any, TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.frames import Frame, IGNORED, pinhole
-from persem_ros.inputs.sync.poses import interpolated
+from persem_ros.inputs.sync.track import interpolated
 from persem_ros.settings.legend import load_legend
 from persem_ros.simulate.materials import VOID
 from persem_ros.simulate.path import make_path, rotation

@@ -3,7 +3,7 @@
 from hypothesis import given, strategies as st
 import numpy as np
 from persem_ros.inputs.sync.pairing import COLOR, DEPTH, LABELS, Synchronizer, TRUTH
-from persem_ros.inputs.sync.poses import Lookup
+from persem_ros.inputs.sync.track import Lookup
 from persem_ros.settings.config import Sync
 import pytest
 

@@ -21,12 +21,21 @@ class Latched:
         Names of classes in the order of the recording; those of a topic that changes.
     faults : list of str
         Sentences about what could not be used.
+    sources : list of str
+        The topic of each static transform.
 
     """
 
     statics: list = field(default_factory=list)
     tables: list = field(default_factory=list)
     faults: list = field(default_factory=list)
+    sources: list = field(default_factory=list)
+
+    def of(self, topics):
+        """Return the static transforms of some topics (TopicInfo), as in *statics*."""
+        names = {topic.name for topic in topics}
+        return [found for found, name in zip(self.statics, self.sources, strict=True)
+                if name in names]
 
 
 def read(source, choice):
@@ -67,6 +76,7 @@ def read(source, choice):
             continue
         good, faults = messages.transforms(msg)
         found.statics += [pose[1:] for pose in good]
+        found.sources += [name] * len(good)
         found.faults += [f'{name}: a transform was not used: {fault}' for fault in faults]
     found.faults += bad.values()
     return found

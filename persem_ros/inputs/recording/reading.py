@@ -1,14 +1,17 @@
 """One reading of an input: messages in, frames out, in the order of header stamps."""
 
+from bisect import bisect_left
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 import sys
 
+import numpy as np
 from persem_ros.errors import PersemError
 from persem_ros.inputs import names
 from persem_ros.inputs.intake import INFO, Intake, LEGEND, ORDER, POSE, TF
 from persem_ros.inputs.sync.pairing import (
-    COLOR, CONFIDENCE, DEPTH, DEPTH_CONFIDENCE, LABELS, TRUTH)
+    COLOR, CONFIDENCE, DEPTH, DEPTH_CONFIDENCE, LABELS, NO_DEPTH, TRUTH)
 from persem_ros.inputs.sync.poses import PoseBuffer
 
 AHEAD = 30.0            # s that poses are read before the images: what one needs is there
@@ -49,6 +52,8 @@ class Reading(Intake):
         self._complete = Counter()      # frames by camera
         self._roles = {}        # topic -> [(kind, station or pose buffer)]
         self._buffers = {}      # pose topic -> PoseBuffer
+        self._depth = {}        # station -> stamps of depth images, ascending
+        self._misses = []       # ns by which labels without depth are behind the nearest
         self._front = -sys.maxsize      # stamp of what was read last
         companions = [kind for kind, wanted in ((TRUTH, truth), (COLOR, color)) if wanted]
         for name, chosen in recording.topics.items():
@@ -84,7 +89,7 @@ class Reading(Intake):
         pending = super().oldest_pending(default)
         return pending if len(self.stations) == 1 else min(pending, self._front)
 
-    def no_mount(self, sentence):
+    def no_mount(self, reason, sentence):
         """Refuse poses that never lead to the camera."""
         raise PersemError(f'{self._recording.path}: {sentence}')
 
@@ -93,6 +98,9 @@ class Reading(Intake):
         kinds = {topic: {role for role, _ in takers} for topic, takers in self._roles.items()}
         ahead = round(AHEAD * 1e9)
         shifts = {topic: -ahead if roles & {POSE, TF} else 0 for topic, roles in kinds.items()}
+        for topic, roles in kinds.items():
+            if LABELS in roles:
+                shifts[topic] += self.offset
         ranks = {topic: max(RANKS[role] for role in roles) for topic, roles in kinds.items()}
         first, last = self._bounds
         images = [topic for topic, roles in kinds.items() if not roles & {POSE, TF, INFO}]
@@ -106,11 +114,15 @@ class Reading(Intake):
         if role == LABELS and (first is not None and stamp < first
                                or last is not None and stamp > last):
             return
+        if role == DEPTH:
+            self._depth.setdefault(station, []).append(stamp)
         super().push_image(station, role, stamp, raw, now)
 
     def _add_camera(self, name, chosen, companions):
         needed = [kind for kind in (DEPTH, CONFIDENCE, DEPTH_CONFIDENCE) if kind in chosen]
-        station = self.add_camera(name, self._pose_buffer(chosen), companions, needed)
+        station = self.add_camera(name, self._pose_buffer(name, chosen), companions,
+                                  needed)
+        station.sync.on_drop = partial(self._note_miss, station)
         station.assembler.add_info(self._recording.infos[chosen[INFO].name])
         for kind in (LABELS, *needed, *companions, INFO):
             self._roles.setdefault(chosen[kind].name, []).append((kind, station))
@@ -126,17 +138,45 @@ class Reading(Intake):
             for topic in self._recording.choice.legends:
                 self._roles.setdefault(topic.name, []).append((LEGEND, None))
 
-    def _pose_buffer(self, chosen):
+    def _pose_buffer(self, camera, chosen):
         """Return the buffer of a camera's poses; cameras with one pose topic share it."""
-        name = chosen[POSE].name if POSE in chosen else TF
+        choice = self._recording.choice
+        tf = choice.tf_of(camera)
+        name = chosen[POSE].name if POSE in chosen else TF + '+'.join(t.name for t in tf)
         if name not in self._buffers:
             buffer = self._buffers[name] = PoseBuffer(self._recording.config, POSES_KEPT)
-            for transform in self._recording.statics:
+            for transform in self._recording.statics_of(camera):
                 buffer.add_static(*transform)
-            topics = [chosen[POSE]] if POSE in chosen else self._recording.choice.tf
-            for topic in topics:
-                self._roles[topic.name] = [(POSE if POSE in chosen else TF, buffer)]
+            if POSE in chosen:
+                self._roles[name] = [(POSE, buffer)]
+        if POSE not in chosen or self._recording.carried(camera):
+            for topic in tf:
+                takers = self._roles.setdefault(topic.name, [])
+                if (TF, self._buffers[name]) not in takers:
+                    takers.append((TF, self._buffers[name]))
         return self._buffers[name]
+
+    def _note_miss(self, station, match, reason):
+        """Keep how far a label image without depth was from the nearest one before it."""
+        depth = self._depth.get(station)
+        if reason == NO_DEPTH and depth:
+            i = bisect_left(depth, match.stamp)
+            self._misses.append(min((match.stamp - stamp for stamp in depth[max(i - 1, 0):i + 1]),
+                                    key=abs))
+
+    def _explain_misses(self):
+        """Write to `examples` how far labels were from depth."""
+        if self._misses:
+            low, middle, high = np.percentile(np.array(self._misses) / 1e6, (5, 50, 95))
+            far = f'{abs(middle):.0f} ms {"before" if middle > 0 else "after"} them' \
+                if high - low < 1 else f'{abs(middle):.0f} ms away (median; behind it by ' \
+                                       f'{low:.0f} to {high:.0f} ms)'
+            self.examples[NO_DEPTH] = (
+                f'the nearest depth image was {far}, sync.tolerance is '
+                f'{self._tolerance / 1e6:g} ms: --set sync.tolerance=…, or sync.offset_labels '
+                'where labels are always late by the same')
+        elif self.dropped[NO_DEPTH]:
+            self.examples[NO_DEPTH] = 'no depth image was there at all'
 
     def _conclude(self):
         """Tell the recording what only the end of a reading knows."""
@@ -147,3 +187,4 @@ class Reading(Intake):
             if station.assembler.reader.note:
                 self._recording.note('labels', station.assembler.reader.note)
         self.explain()
+        self._explain_misses()

@@ -5,14 +5,16 @@ from collections import Counter
 from persem_ros.errors import PersemError
 from persem_ros.inputs import names
 from persem_ros.inputs.assemble import Assembler
+from persem_ros.inputs.decode import messages
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.recording import latched
 from persem_ros.inputs.recording.excerpt import WHOLE
 from persem_ros.inputs.recording.index import Index
 from persem_ros.inputs.recording.reading import Reading
 from persem_ros.inputs.recording.source import Source
-from persem_ros.inputs.recording.topics import Choice
+from persem_ros.inputs.recording.topics import Choice, first_messages
 from persem_ros.inputs.sync.pairing import UNUSED
+from persem_ros.inputs.sync.poses import PoseBuffer
 from persem_ros.settings.legend import load_legend
 
 
@@ -119,6 +121,10 @@ class Recording:
         """Return the static transforms: a list of (T_parent_child, parent, child)."""
         return self._latched.statics
 
+    def statics_of(self, camera):
+        """Return the static transforms of the robot that carries a camera."""
+        return self._latched.of(self.choice.tf_static_of(camera))
+
     @property
     def index(self):
         """Return the Index of everything that a reading may use, made when it is first asked."""
@@ -151,6 +157,29 @@ class Recording:
             return sum(chosen['labels'].count for chosen in self.topics.values())
         names = {chosen['labels'].name for chosen in self.topics.values()}
         return -(-self.index.between(names, *self.bounds) // self.excerpt.every)
+
+    def carried(self, camera):
+        """
+        Return whether a camera moves on the body that its pose topic places (a gimbal).
+
+        Then the way from the body to the camera is on /tf, at each stamp another one.
+
+        """
+        chosen = self.topics[camera]
+        names = {chosen[kind].name for kind in ('pose', 'depth') if kind in chosen}
+        firsts = first_messages(self.source, names)
+        if len(names) < 2 or len(firsts) < 2 or not self.choice.tf_of(camera):
+            return False
+        frame = messages.frame_id(firsts[chosen['depth'].name]) \
+            or messages.frame_id(self.infos[chosen['camera_info'].name])
+        poses = PoseBuffer(self.config)
+        for transform in self.statics_of(camera):
+            poses.add_static(*transform)
+        try:
+            poses.add(*messages.pose(firsts[chosen['pose'].name]))
+        except BadMessage:
+            return False
+        return not poses.fixed(frame)
 
     def has(self, kind):
         """Return whether any camera has the optional topic 'truth' or 'color'."""

@@ -59,9 +59,33 @@ class Choice:
         self.tf_static = [t for t in filled
                           if t.msgtype == TF and t.name.rpartition('/')[2] == 'tf_static']
         self.legends = _legends(filled, config.labels.topic)
+        self._tf = config.topics.tf and f'/{config.topics.tf.strip("/")}'
         self.problems = []
         self.cameras = {name: self._camera(config, name)
                         for name in [n for n in config.cameras if n] or ['']}
+
+    def tf_of(self, camera):
+        """Return the topics with moving transforms of the robot that carries a camera."""
+        return self._of_robot(self.tf, camera)
+
+    def tf_static_of(self, camera):
+        """Return the topics with static transforms of the robot that carries a camera."""
+        return self._of_robot(self.tf_static, camera)
+
+    def _of_robot(self, topics, camera):
+        """Return those of *topics* that lie in the namespace of a camera or above, else all."""
+        if self._tf:
+            tail = topics[0].name.rpartition('/')[2] if topics else ''
+            return [t for t in topics if t.name == self._tf + tail.removeprefix('tf')]
+        chosen = self.cameras[camera]
+        images = [chosen[kind].name for kind in ('labels', 'depth') if kind in chosen]
+        own = [t for t in topics for image in images
+               if image.startswith(t.name.rpartition('/')[0] + '/')]
+        named = [t for t in own if t.name.count('/') > 1]
+        if named:       # the robot's own; what is outside of all namespaces joins them
+            deepest = max(t.name.count('/') for t in named)
+            own = [t for t in own if t.name.count('/') in (1, deepest)]
+        return list(dict.fromkeys(own or topics))
 
     def check(self):
         """Refuse a choice with something missing."""

@@ -15,6 +15,7 @@ LABELS, DEPTH, TRUTH, COLOR = 'labels', 'depth', 'truth', 'color'
 CONFIDENCE, DEPTH_CONFIDENCE = 'confidence', 'depth_confidence'
 NO_DEPTH = 'no depth within tolerance'
 REPEATED = 'stamp repeated'
+ZERO = 'stamp is 0'         # repeated, too: whoever publishes that fills in no stamps
 WENT_BACK = 'stamp went back'
 QUEUE_FULL = 'queue full'
 UNUSED = 'depth: no labels'
@@ -178,11 +179,11 @@ class Synchronizer:
 
     def _push_label(self, stamp, item, size, now):
         if self._left is not None and stamp <= self._left:
-            self.dropped[REPEATED if stamp == self._left else WENT_BACK] += 1
+            self.dropped[repeated(stamp) if stamp == self._left else WENT_BACK] += 1
             return False
         i = bisect_left(self._matches, stamp, key=_stamp)
         if i < len(self._matches) and self._matches[i].stamp == stamp:
-            self.dropped[REPEATED] += 1
+            self.dropped[repeated(stamp)] += 1
             return False
         match = Match(stamp, {LABELS: item}, None, now, None, size, set(self._partners))
         if len(self.needed) == 1:
@@ -203,12 +204,12 @@ class Synchronizer:
             if kind in self._matches[i].missing:
                 self._join(self._matches[i], kind, waiting, now)
                 return True
-            self.dropped[f'{kind}: {REPEATED}'] += 1
+            self.dropped[f'{kind}: {repeated(stamp)}'] += 1
             return False
         queue = self._queues[kind]
         j = bisect_left(queue, stamp, key=_stamp)
         if j < len(queue) and queue[j].stamp == stamp:
-            self.dropped[f'{kind}: {REPEATED}'] += 1
+            self.dropped[f'{kind}: {repeated(stamp)}'] += 1
             return False
         insort(queue, waiting)
         return True
@@ -311,6 +312,11 @@ class Synchronizer:
         if self.needed & match.missing or self._lookup is None:
             return QUEUE_FULL
         return self._lookup(match).reason or QUEUE_FULL
+
+
+def repeated(stamp):
+    """Return the reason for a stamp that was there before."""
+    return REPEATED if stamp else ZERO
 
 
 def _stamp(item):

@@ -1,0 +1,144 @@
+"""Label images stamped when the network was done: how late, and whether that is constant."""
+
+from collections.abc import Iterator
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from persem_ros.preflight.findings import Finding, REFUSE, Remedy, WARN
+from persem_ros.preflight.sample import Sample, Stamps, View
+
+EXACT = 1_000_000       # ns: stamps that agree, but for their rounding
+FINE, FITS, FEW = 0.9, 0.8, 0.5     # shares of the images that could have a partner
+LONGEST = 5_000_000_000             # ns, of a lag that is looked for
+SAMPLE = 2000           # label images
+
+
+def check(sample: Sample) -> Iterator[Finding]:
+    """Yield how far labels are from depth where many find none, and the offset that helps."""
+    for view in sample.views:
+        yield from _view(view, sample)
+
+
+def distances(labels: Stamps, depth: Stamps) -> NDArray[np.int64]:
+    """
+    Return how far each label image is behind the nearest depth image.
+
+    Parameters
+    ----------
+    labels, depth : ndarray, shape (N,) and (M,), int64
+        Stamps, ns; M is at least 1.
+
+    Returns
+    -------
+    ndarray, shape (N,), int64
+        Nanoseconds, positive where the label image is later.
+
+    """
+    depth = np.unique(depth)
+    after = np.clip(np.searchsorted(depth, labels), 1, max(len(depth) - 1, 1))
+    before, after = depth[after - 1], depth[np.minimum(after, len(depth) - 1)]
+    nearer = np.abs(labels - before) <= np.abs(labels - after)
+    return np.asarray(labels - np.where(nearer, before, after), np.int64)
+
+
+def lags(labels: Stamps, depth: Stamps, tolerance: int) -> list[tuple[int, int]]:
+    """
+    Return the lags of labels behind their depth that explain most stamps.
+
+    Parameters
+    ----------
+    labels, depth : ndarray, int64
+        Stamps, ns, ascending and each once.
+    tolerance : int
+        Nanoseconds by which one may miss.
+
+    Returns
+    -------
+    list of (int, int)
+        (lag in ns, number of label images that find depth), the best one first: of equal numbers
+        the shortest lag, since a network is late, and rather less than more.
+
+    """
+    period = int(np.median(np.diff(depth))) if len(depth) > 1 else LONGEST
+    candidates = {int(labels[0] - depth[0])}
+    for base in (0, period // 2):   # a lag that varies across one base does not across the other
+        i = np.maximum(np.searchsorted(depth, labels - base, 'right') - 1, 0)
+        middle = _middle(labels - depth[i])
+        candidates |= {middle + k * period
+                       for k in range(-1, min(100, LONGEST // max(period, 1)) + 1)}
+    found = []
+    for lag in candidates:
+        misses = distances(labels - lag, depth)
+        near = misses[np.abs(misses) <= tolerance]
+        lag += _middle(near) if len(near) else 0
+        count = int(np.count_nonzero(np.abs(distances(labels - lag, depth)) <= tolerance))
+        found.append((int(lag), count))
+    return sorted(found, key=lambda item: (-item[1], item[0] < -tolerance, abs(item[0])))
+
+
+def _view(view: View, sample: Sample) -> Iterator[Finding]:
+    offset = round(sample.config.sync.offset_labels * 1e9)
+    labels = (np.unique(view.stamps['labels']) + offset)[:SAMPLE]
+    depth = np.unique(view.stamps['depth'])
+    if len(labels) < 3 or len(depth) < 3:
+        return
+    depth = depth[(depth >= labels[0] - LONGEST) & (depth <= labels[-1] + LONGEST)] \
+        if depth[0] <= labels[-1] and labels[0] <= depth[-1] else depth
+    tolerance = round(sample.config.sync.tolerance * 1e9)
+    off = distances(labels, depth)
+    near = np.abs(off) <= tolerance
+    possible = min(len(labels), len(depth))
+    now = int(near.sum())
+    exact = int(np.count_nonzero(np.abs(off) <= EXACT))
+    best, count = lags(labels, depth, tolerance)[0]
+    if exact >= max(FEW * now, 1) or now >= FINE * possible and not _steady(off, best, count, now):
+        return
+    severity = WARN if now >= FEW * possible else REFUSE
+    low, middle, high = (x / 1e6 for x in np.percentile(off, (5, 50, 95)))
+    said = (f'label images are {low:.0f} to {high:.0f} ms (median {middle:.0f} ms) behind the '
+            f'depth image that is nearest, {now} of {len(labels)} within sync.tolerance '
+            f'({tolerance / 1e6:g} ms)')
+    yield Finding(severity, *_advice(said, labels, depth, offset, (best, count), possible,
+                                     tolerance))
+
+
+def _advice(said: str, labels: Stamps, depth: Stamps, offset: int, best: tuple[int, int],
+            possible: int, tolerance: int) -> tuple[str, tuple[Remedy, ...]]:
+    """Return the sentence and what to type, by what explains the stamps."""
+    lag, count = best
+    value = f'{(offset - lag) / 1e9:.3f}'
+    if count >= FITS * possible:
+        return (f'{said}; {count} fit a depth image {lag / 1e6:.0f} ms '
+                f'{"earlier" if lag >= 0 else "later"}, as if they were stamped when the '
+                'network was done', (Remedy({'sync.offset_labels': value}),))
+    rest = np.abs(distances(labels - lag, depth))
+    wide = 1.1 * float(np.percentile(rest, 95)) / 1e9
+    period = float(np.median(np.diff(depth))) / 1e9
+    if wide < 0.5 * period:
+        return (f'{said}; {lag / 1e6:.0f} ms {"earlier" if lag >= 0 else "later"} they '
+                f'fit, give or take {1e3 * wide:.0f} ms',
+                (Remedy({'sync.offset_labels': value, 'sync.tolerance': _up(wide)}),))
+    return (f'{said}, and no constant lag explains it: whoever publishes the label images has to '
+            'keep the stamp of the image that they were made of',
+            (Remedy({'sync.tolerance': _up(float(np.percentile(np.abs(
+                distances(labels, depth)), 95)) / 1e9)}, 'if the nearest one is right'),))
+
+
+def _steady(off: NDArray[np.int64], best: int, count: int, now: int) -> bool:
+    """Return whether all labels are off by the same, and another lag explains more of them."""
+    return count > now and abs(_middle(off)) > EXACT and abs(best - _middle(off)) > EXACT \
+        and bool(np.percentile(off, 95) - np.percentile(off, 5) <= 2 * EXACT)
+
+
+def _middle(values: NDArray[np.int64]) -> int:
+    """Return the middle between the outer values but for a few, ns."""
+    low, high = np.percentile(values, (5, 95))
+    return int(round((low + high) / 2))
+
+
+def _up(seconds: float) -> str:
+    """Return the next larger number of two digits, as text."""
+    step = 10.0 ** (math.floor(math.log10(max(seconds, 1e-6))) - 1)
+    return f'{math.ceil(seconds / step) * step:.6g}'

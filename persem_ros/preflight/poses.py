@@ -1,0 +1,160 @@
+"""What the poses place: the camera or the body that carries it, told by depth that agrees."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from persem_ros.core.agreement import misses, WORST
+from persem_ros.core.transforms import inverse
+from persem_ros.inputs.decode import messages
+from persem_ros.inputs.decode.messages import BadMessage
+from persem_ros.inputs.sync.poses import NO_MOUNT
+from persem_ros.inputs.sync.track import SLACK
+from persem_ros.preflight.findings import Finding, NOTE, REFUSE, Remedy, WARN
+from persem_ros.preflight.sample import Sample, View
+
+TURNED = 10.0, 60.0     # degrees between two views that tell readings apart and still overlap
+PAIRS = 10
+WITHIN = 60             # frames between two of a pair
+LOOKED_AT = 300         # frames among which pairs are searched
+DECIDES = 2.0           # times that the worse reading misses by more than the better one
+LEAST = 50              # pixels that have to be compared
+JUMPED = 20.0           # times the usual speed, that are called a jump …
+BY = 1.0                # m … of this at least
+Move = tuple[int, int]
+
+
+def check(sample: Sample) -> Iterator[Finding]:
+    """Yield what the poses place, where they do not say so, and where they jump."""
+    for view in sample.views:
+        if 'pose' not in view.topics:
+            continue
+        faults = list(_unreadable(view))
+        yield from faults
+        if not faults:
+            yield from _mount(view, sample)
+            yield from _jumps(view, sample)
+
+
+def _unreadable(view: View) -> Iterator[Finding]:
+    """Yield why no pose can be used, if none of the first can."""
+    fault = None
+    for msg in view.firsts.get('pose', ()):
+        try:
+            messages.pose(msg)
+            return
+        except BadMessage as error:
+            fault = fault or error
+    if view.poses.poses is None:
+        yield Finding(REFUSE, f'poses on {view.topics["pose"]}: {fault}' if fault else
+                      f'{view.topics["pose"]} has no message that can be read')
+
+
+def _mount(view: View, sample: Sample) -> Iterator[Finding]:
+    """Yield what the poses place, and what is missing on the way to the camera."""
+    poses, frame = view.poses, view.image_frame
+    if poses.unsaid(frame):
+        yield _reading(view, sample)
+        return
+    track = poses.poses
+    if track is None:
+        return
+    middle = track.stamps[len(track.stamps) // 2]
+    if poses.lookup(middle, frame).reason != NO_MOUNT:
+        return
+    tree, target = poses.tree, sample.config.frames.map
+    if tree.connected(target, frame):
+        yield Finding(REFUSE, poses.mount_sentence(frame), (Remedy(
+            {'pose.source': 'tf'}, f'takes all from /tf, which leads from {target!r} to '
+                                   f'{frame!r}'),))
+    else:
+        yield Finding(REFUSE, poses.mount_sentence(frame))
+
+
+def _reading(view: View, sample: Sample) -> Finding:
+    """Return which of two readings of unsaid poses the depth speaks for."""
+    frame = view.image_frame
+    body = view.poses.bodies(frame)[0]
+    said = (f'the poses on {view.topics["pose"]} do not say what they place, the camera '
+            f'{frame!r} or {body!r}, on which it is mounted')
+    both = (Remedy({'pose.child_frame': body}, 'if they place the body'),
+            Remedy({'pose.child_frame': frame}, 'if they place the camera'))
+    if sample.live:
+        return Finding(REFUSE, said, both)
+    errors = {name: _residual(view, sample, name) for name in (body, frame)}
+    counts = min(n for _, n in errors.values())
+    a, b = errors[body][0], errors[frame][0]
+    if counts < LEAST or max(a, b) < DECIDES * min(a, b) or min(a, b) > 0.7 * WORST:
+        view.poses.configure(sample.config.pose)
+        why = 'no two frames with depth differ by 10 degrees and overlap' if counts < LEAST else \
+            f'depth of one frame misses that of another by {100 * a:.1f} % and {100 * b:.1f} %'
+        return Finding(REFUSE, f'{said}, and the images do not tell ({why})', both)
+    taken, left = (body, frame) if a < b else (frame, body)
+    return Finding(NOTE, f'{said}: {taken!r}, because depth of one frame then misses that of '
+                         f'another by {100 * min(a, b):.1f} % and not by {100 * max(a, b):.1f} %',
+                   (Remedy({'pose.child_frame': left}, 'says otherwise'),),
+                   takes={'pose.child_frame': taken})
+
+
+def _residual(view: View, sample: Sample, child: str) -> tuple[float, int]:
+    """Return how far depth misses depth if the poses place *child*, and the pixels compared."""
+    view.poses.configure(replace(sample.config.pose, child_frame=child))
+    stamps = np.unique(view.stamps['depth'])
+    stamps = stamps[np.linspace(0, len(stamps) - 1, min(len(stamps), LOOKED_AT)).astype(int)]
+    placed = {int(s): view.poses.lookup(int(s), view.image_frame).T for s in stamps}
+    known = {s: T for s, T in placed.items() if T is not None}
+    pairs = turned(known)
+    shots = view.shots({stamp for pair in pairs for stamp in pair})
+    found = [np.zeros(0)]
+    for i, j in pairs:
+        if i in shots and j in shots:
+            errors = misses(shots[i].depth, shots[j].depth, inverse(known[j]) @ known[i],
+                            shots[i].camera.K)
+            found.append(np.minimum(errors[~np.isnan(errors)], WORST))
+    errors = np.concatenate(found)
+    return (float(errors.mean()) if errors.size else WORST), errors.size
+
+
+def turned(poses: dict[int, NDArray[np.float64]]) -> list[Move]:
+    """Return pairs of stamps whose views differ by TURNED degrees, few frames apart."""
+    stamps = sorted(poses)
+    R = np.array([poses[stamp][:3, :3] for stamp in stamps]).reshape(-1, 3, 3)
+    found: list[Move] = []
+    for i in range(len(stamps)):
+        near = R[i + 1:i + 1 + WITHIN]
+        cosine = (np.einsum('nij,ij->n', near, R[i]) - 1.0) / 2.0
+        angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+        fitting = np.flatnonzero((angle >= TURNED[0]) & (angle <= TURNED[1]))
+        if fitting.size:
+            found.append((stamps[i], stamps[i + 1 + int(fitting[0])]))
+    chosen = np.linspace(0, len(found) - 1, min(len(found), PAIRS)).astype(int)
+    return [found[k] for k in chosen]
+
+
+def _jumps(view: View, sample: Sample) -> Iterator[Finding]:
+    """Yield where the poses jump, whether or not images lie in between."""
+    track = view.poses.poses
+    if track is None or len(track.stamps) < 3:
+        return
+    steps = np.linalg.norm(np.diff([T[:3, 3] for T in track.transforms], axis=0), axis=1)
+    seconds = np.diff(np.array(track.stamps, np.float64)) / 1e9
+    speeds = steps / np.maximum(seconds, 1e-9)
+    limit = sample.config.pose.max_speed
+    impossible = steps - SLACK > limit * seconds        # as sync.track has it
+    usual = float(np.median(speeds))
+    odd = (speeds > JUMPED * max(usual, 0.1)) & (steps > BY) & ~impossible
+    for which, what in ((impossible, 'nothing is interpolated across'),
+                        (odd, 'taken as they are')):
+        if not which.any():
+            continue
+        worst = int(np.argmax(np.where(which, steps, 0.0)))
+        yield Finding(WARN, f'the poses jump {int(which.sum())} times, by up to '
+                            f'{steps[worst]:.3g} m in {seconds[worst]:.3g} s at '
+                            f'{track.stamps[worst] / 1e9:.3f} s (relocalisation, loop closure?): '
+                            f'{what}; topics.trajectory takes corrected poses', (Remedy(
+                                {'pose.max_speed': f'{1.2 * speeds[worst]:.3g}'},
+                                'if they are right') if which is impossible else Remedy(
+                                {'pose.max_speed': f'{0.8 * speeds[worst]:.3g}'},
+                                'does not interpolate across them'),))
