@@ -88,7 +88,7 @@ def depth(form, data):
 
 def color(form, data):
     """Decode a JPEG or PNG image as uint8 RGB of shape (H, W, 3)."""
-    return np.ascontiguousarray(_imdecode(data, cv2.IMREAD_COLOR, form)[..., ::-1])
+    return cv2.cvtColor(_imdecode(data, cv2.IMREAD_COLOR, form), cv2.COLOR_BGR2RGB)
 
 
 def _deep(form, data):
