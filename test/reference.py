@@ -13,12 +13,13 @@ from fractions import Fraction
 from itertools import product
 import math
 
+import geometry_reference
 import numpy as np
 
 TIE = 1e-9          # x ties y when |x - y| <= TIE; "> tau" means "> tau + TIE"
 MAX_ID = 65534
 UNKNOWN = 65535
-MAJORITY, HISTORY, TRUST, CONTEXT = 0, 1, 2, 3
+MAJORITY, HISTORY, TRUST, CONTEXT, GEOMETRY = 0, 1, 2, 3, 4
 FUSION = ('majority', 'unweighted', 'recency', 'consensus', 'probabilistic')
 SELECTIVE = ('trust', 'context', 'history', 'context_history', 'persem')
 
@@ -169,6 +170,8 @@ class Memory:
 
     Attributes
     ----------
+    voxel_size, origin : float, sequence of 3 float
+        Metres; only section 12 asks.
     histories : dict
         {voxel: [(c, s, t), ...]}.
     frames : list
@@ -180,8 +183,9 @@ class Memory:
 
     """
 
-    def __init__(self):
+    def __init__(self, voxel_size=0.5, origin=(0.0, 0.0, 0.0)):
         """Start empty."""
+        self.voxel_size, self.origin = voxel_size, origin
         self.histories = {}
         self.frames = []
         self.stamps = []
@@ -219,6 +223,11 @@ class Memory:
         """Section 2: the observed voxels among the n around it, in lexicographic order."""
         around = [tuple(a + b for a, b in zip(voxel, d)) for d in offsets(n)]
         return [u for u in around if u in self.histories]
+
+    def position(self, t):
+        """Section 12: where the sensor was; of two at one stamp, the first."""
+        return next(((0.0, 0.0, 0.0) if T is None else tuple(np.array(T)[:3, 3])
+                     for stamp, _, T in self.frames if stamp == self.stamps[t]))
 
     def volatility(self):
         """Section 3: rho(c) over all consecutive pairs of all histories; absent means 0."""
@@ -366,7 +375,7 @@ def label(memory, method, settings, max_history=0, rho=None):
     memory : Memory
         What was seen.
     method : str
-        One of FUSION and SELECTIVE.
+        One of FUSION and SELECTIVE, or geometry.
     settings : persem_ros.settings.config.Refine
         The constants.
     max_history : int
@@ -382,6 +391,8 @@ def label(memory, method, settings, max_history=0, rho=None):
     """
     rho = memory.volatility() if rho is None else rho
     result = {}
+    if method == 'geometry':
+        return geometrical(memory, settings, max_history) if memory.histories else {}
     for voxel, history in memory.histories.items():
         if method in FUSION:
             result[voxel] = fused(memory, voxel, method, settings, max_history), MAJORITY
@@ -390,6 +401,17 @@ def label(memory, method, settings, max_history=0, rho=None):
         else:
             result[voxel] = selective(memory, voxel, method, rho, settings, max_history)
     return result
+
+
+def geometrical(memory, settings, max_history=0):
+    """Section 12: {voxel: (label, source)}."""
+    positions = [memory.position(t) for t in range(len(memory.stamps))]
+    found = geometry_reference.geometry(
+        {v: [(c, s, positions[t]) for c, s, t in history]
+         for v, history in memory.histories.items()},
+        memory.voxel_size, memory.origin, settings.up, max_history, settings.geometry)
+    return {v: (label_, GEOMETRY if label_ != memory.majority(v) else MAJORITY)
+            for v, label_ in zip(found.voxels, found.labels.tolist())}
 
 
 def ema2d(images, alpha, ignored=(255, 65535)):

@@ -24,6 +24,7 @@ MAY_IMPORT = {
     'guard': {'errors'},
     'settings': {'errors', 'frames', 'guard'},
     'core': NOUNS,
+    'core.geometry': NOUNS | {'core.jit', 'core.memory'},
     'core.frame': NOUNS | {'core.jit', 'core.memory', 'core.transforms'},
     'core.memory': NOUNS | {'core.jit', 'core.transforms'},
     'pipeline': NOUNS | {'core'},

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from persem_ros.evaluate.show.table import Table
     from persem_ros.settings.config import Config
 
-METHODS = ('raw2d', 'ema2d', 'majority', 'persem')
+METHODS = ('raw2d', 'ema2d', 'majority', 'persem', 'geometry')
 DISTURB = 'disturb.'
 MOST = 2000         # points; more is a mistake in the command line
 

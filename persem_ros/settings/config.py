@@ -11,7 +11,7 @@ from typing import Any
 from persem_ros.errors import PersemError
 
 METHODS = ('majority', 'unweighted', 'recency', 'consensus', 'probabilistic',
-           'trust', 'context', 'history', 'context_history', 'persem')
+           'trust', 'context', 'history', 'context_history', 'persem', 'geometry')
 IMAGE_METHODS = ('raw2d', 'ema2d')
 QOS = ('auto', 'best_effort', 'reliable', 'latched')
 ONE = {float: 'a number', int: 'a whole number', bool: 'true or false', str: 'text'}
@@ -72,6 +72,26 @@ class Memory:
 
 
 @dataclass(frozen=True)
+class Geometry:
+    """The method geometry; lengths are in voxels, so that one set serves all resolutions."""
+
+    directions: int = setting(
+        8, 'bins of viewing directions along half an axis: looks from one bin are one vote; '
+        '0: every look is one', '', 0, 32)
+    window: int = setting(20, 'columns around one whose lowest voxels make its ground', 'voxels',
+                          0, 1000)
+    cell: int = setting(32, 'edge of the areas that have habits of their own', 'voxels', 2, 4096)
+    weight: float = setting(0.5, 'weight of what shapes and areas say; 0: none', '', 0.0, 100.0)
+    smoothing: float = setting(6.0, 'weight of what the neighbours say (lambda); 0: none', '',
+                               0.0, 100.0)
+    prior: float = setting(60.0, 'voxels that a group of places must outweigh', 'voxels', 1e-3,
+                           1e9)
+    shrink: float = setting(0.1, "share of all looks that the classes' confusions must outweigh",
+                            '', 1e-6, 1e3)
+    rounds: int = setting(3, 'rounds in which the parameters are fitted', '', 1, 100)
+
+
+@dataclass(frozen=True)
 class Refine:
     """How the memory makes up its mind."""
 
@@ -96,6 +116,9 @@ class Refine:
     period: float = setting(1.0, 'time between refinements', 's', 0.01, 3600.0)
     volatility_every: int = setting(
         10, 'every n-th refinement takes the class volatility anew', '', 1, 1 << 20)
+    up: str = setting('z', 'axis of the map that points up (geometry)',
+                      choices=('x', 'y', 'z', '-x', '-y', '-z'))
+    geometry: Geometry = Geometry()
 
 
 @dataclass(frozen=True)

@@ -115,5 +115,5 @@ def test_colours_overlay_source_and_legend(ros, tmp_path):
     mixed = np.frombuffer(found['overlay'][-1].data, np.uint8).reshape(-1, 3)
     assert np.abs(mixed[:, 0].astype(int) - (colors[:, 0] + 200.0) / 2).max() <= 1
     sources = np.frombuffer(found['source'][-1].data, np.uint8)
-    assert set(sources) <= {0, 1, 2, 3, 255} and (sources != 255).mean() > 0.9
+    assert set(sources) <= {0, 1, 2, 3, 4, 255} and (sources != 255).mean() > 0.9
     assert found['source'][-1].encoding == 'mono8'

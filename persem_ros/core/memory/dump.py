@@ -32,6 +32,8 @@ class MemoryDump:
     observations, switches : ndarray, shape (n,), uint32
     label, majority, last, first_label : ndarray, shape (n,), uint16
     source, dirty, gone : ndarray, shape (n,), uint8
+    posterior : ndarray, shape (n,), float32
+        Of the label, where the method geometry gave it; 0: none.
     evidence_start : ndarray, shape (n + 1,), int64
     evidence_class : ndarray, uint16
     evidence_sum : ndarray, float64
@@ -67,6 +69,7 @@ class MemoryDump:
     source: np.ndarray
     dirty: np.ndarray
     gone: np.ndarray
+    posterior: np.ndarray
     evidence_start: np.ndarray
     evidence_class: np.ndarray
     evidence_sum: np.ndarray
@@ -88,7 +91,7 @@ def dump(memory):
     live = np.flatnonzero(pools.blocks['near'][:memory.n_blocks, 13])
     order = live[sort_order(pools.blocks['index'][live])]
     block, cell, number = _listing(memory, order)
-    records = pools.voxels[number]
+    records, beliefs = pools.voxels[number], memory.store.beliefs[number]
     observations = records['n']
     stored = observations.astype(np.int64) - records['first']
     if memory.max_history:
@@ -109,7 +112,9 @@ def dump(memory):
         cell.astype(np.uint16), observations, records['switches'], records['label'],
         records['majority'], records['last'], records['first_label'], records['source'],
         pools.blocks['changed'][block, cell >> 3] >> (cell & 7).astype(np.uint8) & 1,
-        records['gone'], evidence_start, *evidence, history_start, *history, where,
+        records['gone'],
+        np.where(beliefs['label'] == records['label'], beliefs['posterior'], np.float32(0)),
+        evidence_start, *evidence, history_start, *history, where,
         pools.starts.copy(), pools.changes.copy(), memory.seen_ids.copy(),
         None if memory.rho is None else memory.rho.copy(), memory.frames.copy())
 
@@ -130,6 +135,9 @@ def load(saved):
                           ('first_label', saved.first_label), ('source', saved.source),
                           ('gone', saved.gone)):
         voxels[field] = column
+    if saved.posterior.any():
+        memory.store.beliefs['posterior'][:n] = saved.posterior
+        memory.store.beliefs['label'][:n] = saved.label
     block = np.repeat(np.arange(len(saved.block_index)), np.diff(saved.block_start))
     _mark_changed(memory.m.blocks, block, saved.cell, saved.dirty)
     memory.m.used[OBSERVATIONS] = int(saved.observations.sum(dtype=np.int64))

@@ -57,7 +57,10 @@ def keep_near(memory, position, radius=0.0, max_voxels=0):
 
 def drop(memory, numbers):
     """Drop whole blocks by number, when no refinement is under way; all else is revisited."""
-    _drop(memory.m, np.asarray(numbers, np.int64))
+    numbers = np.asarray(numbers, np.int64)
+    cells = memory.m.blocks['cells'][numbers]
+    memory.store.beliefs['posterior'][cells[cells > 0] - 1] = 0.0
+    _drop(memory.m, numbers)
     memory.table = new_table(memory.n_blocks + 512)
     rehash(memory.m.blocks, memory.m.used, memory.table)
     memory.refined_with = None      # neighbourhoods have changed

@@ -38,13 +38,15 @@ VOXEL = np.dtype([
     ('majority', 'u2'),             # c_M
     ('label', 'u2'),                # after refinement
     ('last', 'u2'),                 # label of the newest observation
-    ('source', 'u1'),               # 0 majority, 1 history, 2 trust, 3 context
+    ('source', 'u1'),               # what decided (outputs.map.cloud.SOURCES)
     ('gone', 'u1'),                 # 1: what stood there moved away
     ('first_label', 'u2')])         # label of the oldest observation, kept or not
 # Observation number i lies at place i % CHUNK of its link: label, confidence, frame. Its t is the
 # frame's. Where its points lay in the voxel is in a pool of its own, for links are cache lines.
 LINK = np.dtype([('c', 'u2', CHUNK), ('s', 'f4', CHUNK), ('f', 'i4', CHUNK), ('next', 'u4')])
 OFFSETS = np.dtype([('xyz', 'u1', 3 * CHUNK)])
+# Beside the voxels, by their numbers, for the method geometry: no page of it is used without.
+BELIEF = np.dtype([('posterior', 'f4'), ('label', 'u2'), ('pad', 'u2')])    # of this label
 SPILL = np.dtype([('sums', 'f8', INLINE), ('classes', 'u2', INLINE), ('pad', 'u2'),
                   ('next', 'u4'), ('pad2', 'u4')])
 BLOCK = np.dtype([
@@ -78,6 +80,8 @@ class Store:
     ----------
     arrays : Pools
         They stay valid and in place for the store's life.
+    beliefs : ndarray, BELIEF
+        By voxel number.
     capacity : dict
         Largest number of blocks, voxels, links and spills.
 
@@ -88,6 +92,8 @@ class Store:
         self._pools = {'blocks': _reserve(BLOCK, memory // 2), 'voxels': _reserve(VOXEL, memory),
                        'links': _reserve(LINK, memory), 'spills': _reserve(SPILL, memory // 2)}
         self.capacity = {name: len(pool) for name, pool in self._pools.items()}
+        self.beliefs = _reserve(BELIEF, memory // 8)
+        self.capacity['voxels'] = min(self.capacity['voxels'], len(self.beliefs))
         self.arrays = Pools(
             *self._pools.values(), _reserve(OFFSETS, memory // 2),
             _reserve(np.dtype('u4'), memory // 16),

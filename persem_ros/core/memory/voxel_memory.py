@@ -44,6 +44,7 @@ class VoxelMemory:
         self.refinements = 0        # under way: their links must not be used again
         self.store = Store()
         self.table = new_table(512)
+        self.geometry = None        # parameters of the method geometry (core.geometry)
         self._stamps = Stamps()
         self._next_t = 0
 
@@ -142,8 +143,8 @@ class VoxelMemory:
         -------
         dict
             voxel (n, 3) int32, label, majority (n,) uint16, confidence (n,) float32 (p_v of the
-            label), observations (n,) uint32, switches (n,) uint32, source (n,) uint8, number
-            (n,) int64.
+            label, or its posterior where geometry gave it), observations (n,) uint32, switches
+            (n,) uint32, source (n,) uint8, number (n,) int64.
 
         """
         return ordered(self.columns())
@@ -161,8 +162,8 @@ class VoxelMemory:
                    'majority': np.empty(n, np.uint16), 'confidence': np.empty(n, np.float32),
                    'observations': np.empty(n, np.uint32), 'switches': np.empty(n, np.uint32),
                    'source': np.empty(n, np.uint8)}
-        split(copy_columns, n, self.m.blocks, self.m.voxels, self.m.spills, block, cell, number,
-              *columns.values())
+        split(copy_columns, n, self.m.blocks, self.m.voxels, self.m.spills, self.store.beliefs,
+              block, cell, number, *columns.values())
         return {**columns, 'number': number}
 
     def number(self, voxel):
@@ -261,9 +262,14 @@ def ordered(columns):
 
 
 @kernel
-def copy_columns(start, stop, blocks, voxels, spills, block, cell, number, index, label, majority,
-                 confidence, observations, switches, source):
-    """Copy each voxel's record to the columns; confidence is p_v of its label, 0 for none."""
+def copy_columns(start, stop, blocks, voxels, spills, beliefs, block, cell, number, index, label,
+                 majority, confidence, observations, switches, source):
+    """
+    Copy each voxel's record to the columns.
+
+    Confidence is the posterior of its label where there is one, else p_v of it, 0 for none.
+
+    """
     classes = np.empty(65536, np.uint16)
     sums = np.empty(65536)
     for p in range(start, stop):
@@ -277,6 +283,10 @@ def copy_columns(start, stop, blocks, voxels, spills, block, cell, number, index
         observations[p] = voxel.n
         switches[p] = voxel.switches
         source[p] = voxel.source
+        belief = beliefs[number[p]]
+        if belief.posterior > 0.0 and belief.label == voxel.label:
+            confidence[p] = belief.posterior
+            continue
         n = read_evidence(voxel, spills, classes, sums, 0)
         total, own = 0.0, 0.0
         for k in range(n):

@@ -3,7 +3,7 @@
 import numpy as np
 from persem_ros.core.jit import inlined, kernel
 from persem_ros.core.memory.evidence import TIE
-from persem_ros.core.memory.history import link_of
+from persem_ros.core.memory.history import link_of, oldest
 from persem_ros.core.memory.pools import CHUNK
 
 UNWEIGHTED, RECENCY, CONSENSUS, PROBABILISTIC = range(4)
@@ -42,14 +42,6 @@ def place_of(classes, n, c):
     while k < n and classes[k] != c:
         k += 1
     return k
-
-
-@inlined
-def oldest(observations, first, max_history):
-    """Return the number of the oldest observation that a replay reads."""
-    if max_history > 0:
-        return max(np.int64(first), np.int64(observations) - max_history)
-    return np.int64(first)
 
 
 @inlined

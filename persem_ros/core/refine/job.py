@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from persem_ros.core.geometry.method import Labelled, relabel
 from persem_ros.core.jit import kernel, split
 from persem_ros.core.memory.blocks import directions
 from persem_ros.core.refine import fusion, selection, snapshot
@@ -23,11 +24,12 @@ class Job:
     snapshot: snapshot.Snapshot
     rho: np.ndarray
     n_ids: int
+    parameters: object
 
     def compute(self):
-        """Return (labels uint16, sources uint8) of the snapshot's refined rows."""
+        """Return the core.geometry.method.Labelled of the snapshot's refined rows."""
         return labelled(self.memory, self.snapshot, self.settings.method, self.settings,
-                        self.rho, self.n_ids)
+                        self.rho, self.n_ids, self.parameters)
 
 
 def refine(memory, settings, full=True):
@@ -57,21 +59,22 @@ def refine(memory, settings, full=True):
 def begin(memory, settings, full=True):
     """Return the Job of a refinement; call it on the mapping thread, between two frames."""
     if full or memory.rho is None:
-        memory.rho, memory.refined_with = memory.volatility(), None
+        memory.rho, memory.refined_with, memory.geometry = memory.volatility(), None, None
     n_ids = int(np.count_nonzero(memory.seen_ids))
     # Other settings, or for this one method another number of ids, concern every voxel.
     rules = settings, n_ids if settings.method == 'probabilistic' else 0
-    everywhere = memory.refined_with != rules
+    everywhere = memory.refined_with != rules or (
+        settings.method == 'geometry' and memory.m.blocks['dirty'][:memory.n_blocks].any())
     memory.refined_with = rules
     taken = snapshot.take(memory, None if everywhere else settings.neighbours)
     snapshot.settle(memory)
     memory.refinements += 1
-    return Job(memory, settings, taken, memory.rho, n_ids)
+    return Job(memory, settings, taken, memory.rho, n_ids, memory.geometry)
 
 
-def finish(job, labels, sources):
+def finish(job, labels, sources, posterior, parameters):
     """
-    Enter a job's labels into the map, on the mapping thread; return how many.
+    Enter what a job computed into the map, on the mapping thread; return how many voxels.
 
     A label that equals the majority of the snapshot follows the majority of today.
 
@@ -79,6 +82,8 @@ def finish(job, labels, sources):
     taken = job.snapshot
     split(_enter, taken.refined, job.memory.m.voxels, taken.number, taken.majority, labels,
           sources)
+    _believe(job.memory.store.beliefs, taken.number[:taken.refined], labels, posterior)
+    job.memory.geometry = parameters
     job.memory.refinements -= 1
     return taken.refined
 
@@ -102,14 +107,16 @@ def label(memory, method, settings):
     """
     taken = snapshot.take(memory)
     rows = labelled(memory, taken, method, settings, memory.volatility(),
-                    int(np.count_nonzero(memory.seen_ids)))
+                    int(np.count_nonzero(memory.seen_ids)))[:2]
     labels, sources = (np.zeros(memory.n_numbers, a.dtype) for a in rows)
     labels[taken.number], sources[taken.number] = rows
     return labels, sources
 
 
-def labelled(memory, taken, method, settings, rho, n_ids):
-    """Return (labels, sources) of a snapshot's refined rows by *method*."""
+def labelled(memory, taken, method, settings, rho, n_ids, parameters=None):
+    """Return the core.geometry.method.Labelled of a snapshot's refined rows by *method*."""
+    if method == 'geometry':
+        return relabel(memory, taken, settings, parameters)
     n, links = taken.refined, memory.m.links
     labels, sources = taken.majority[:n].copy(), np.zeros(n, np.uint8)
     if method in fusion.MODES:
@@ -131,7 +138,7 @@ def labelled(memory, taken, method, settings, rho, n_ids):
               float(settings.tau_context), memory.max_history, labels, sources)
     elif method != 'majority':
         raise ValueError(f'{method!r} is not a method on voxels')
-    return labels, sources
+    return Labelled(labels, sources, np.zeros(n, np.float32), None)
 
 
 def trust_of(rho, lambda_volatility):
@@ -144,6 +151,13 @@ def trust_of(rho, lambda_volatility):
 def _with(function, scratch):
     """Return *function* with a scratch record of its own for each slice of the work."""
     return lambda begin, end, *arguments: function(begin, end, np.zeros(1, scratch), *arguments)
+
+
+def _believe(beliefs, number, labels, posterior):
+    """Note the posteriors of labels; where there are none, forget what was noted before."""
+    if posterior.any() or beliefs['posterior'][number].any():
+        beliefs['posterior'][number] = posterior
+        beliefs['label'][number] = labels
 
 
 @kernel

@@ -4,9 +4,9 @@ import numpy as np
 from persem_ros.core.jit import inlined, kernel
 from persem_ros.core.memory.blocks import step
 from persem_ros.core.memory.evidence import TIE
-from persem_ros.core.memory.history import link_of
+from persem_ros.core.memory.history import link_of, oldest
 from persem_ros.core.memory.pools import CHUNK
-from persem_ros.core.refine.fusion import oldest, place_of, winner
+from persem_ros.core.refine.fusion import place_of, winner
 
 MAJORITY, HISTORY, TRUST, CONTEXT = range(4)        # sources, spec section 8
 NONE, PROPOSED, VERIFIED, CANDIDATE = range(4)      # what follows the anchor

@@ -25,6 +25,8 @@ class Snapshot:
     ----------
     block, cell, number : ndarray, shape (n,), int64
         Where each voxel lies.
+    index : ndarray, shape (n, 3), int32
+        The voxels.
     refined : int
         r.
     row : ndarray, shape (voxels of the map,), int32
@@ -39,12 +41,15 @@ class Snapshot:
         Length of the history, number of its first link's first observation, that link + 1.
     frame_t : ndarray, shape (frames,), int32
         t of every frame.
+    placed : ndarray, shape (frames, 4, 4), float64
+        Where the observations of every frame lie from, T_map_sensor.
 
     """
 
     block: np.ndarray
     cell: np.ndarray
     number: np.ndarray
+    index: np.ndarray
     refined: int
     row: np.ndarray
     start: np.ndarray
@@ -55,6 +60,7 @@ class Snapshot:
     first: np.ndarray
     head: np.ndarray
     frame_t: np.ndarray
+    placed: np.ndarray
 
 
 def take(memory, neighbours=None):
@@ -78,12 +84,14 @@ def take(memory, neighbours=None):
     start = np.zeros(n + 1, np.int64)
     split(_count, n, pools.voxels, pools.spills, number, start[1:])
     np.cumsum(start, out=start)
+    index = np.empty((n, 3), np.int32)
+    split(_place, n, pools.blocks, block, cell, index)
     classes, shares = np.empty(start[-1], np.uint16), np.empty(start[-1])
     majority, observations, first, head = (np.empty(n, t) for t in ('u2', 'u4', 'u4', 'u4'))
     split(_copy, n, pools.voxels, pools.spills, number, start, classes, shares, majority,
           observations, first, head)
-    return Snapshot(block, cell, number, refined, row, start, classes, shares, majority,
-                    observations, first, head, memory.frames.t)
+    return Snapshot(block, cell, number, index, refined, row, start, classes, shares, majority,
+                    observations, first, head, memory.frames.t, memory.frames.placed)
 
 
 def settle(memory):
@@ -182,6 +190,16 @@ def list_marked(blocks, numbers, rows, block_of, cell_of, voxel_of, n):
                         block_of[n], cell_of[n], voxel_of[n] = b, cell, v - 1
                         n += 1
     return n
+
+
+@kernel
+def _place(begin, end, blocks, block, cell, index):
+    """Write the index of each voxel."""
+    for r in range(begin, end):
+        corner = blocks[block[r]].index
+        index[r, 0] = corner[0] * SIDE + (cell[r] >> 6)
+        index[r, 1] = corner[1] * SIDE + (cell[r] >> 3 & 7)
+        index[r, 2] = corner[2] * SIDE + (cell[r] & 7)
 
 
 @kernel

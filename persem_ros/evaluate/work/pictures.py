@@ -20,7 +20,7 @@ FRAMES = 4          # kept
 WIDTH = 480         # of a panel, pixels, at most
 APART = 0.04        # of the sequence: frames nearer to each other show the same
 CELLS = 700         # of the map from above, along its longer side, at most
-METHODS = ('raw2d', 'ema2d', 'majority', 'trust', 'context_history', 'persem')
+METHODS = ('raw2d', 'ema2d', 'majority', 'trust', 'context_history', 'persem', 'geometry')
 
 
 class Panels:

@@ -128,7 +128,7 @@ class Sequence:
         self.sources = np.zeros(memory.n_voxels, np.uint8)
         for row, method in zip(labels, voxel_methods):
             with self.watch(f'label {method}'):
-                found, sources = labelled(memory, taken, method, config.refine, rho, n_ids)
+                found, sources = labelled(memory, taken, method, config.refine, rho, n_ids)[:2]
                 row[taken.number] = found
             if method == config.refine.method:
                 self.sources[taken.number] = sources

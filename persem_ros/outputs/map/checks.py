@@ -60,6 +60,7 @@ def check_dump(saved: MemoryDump, about: Mapping[str, Any]) -> None:
             saved.label, saved.majority, saved.last, saved.first_label, saved.history_label,
             saved.evidence_class)) <= MAX_ID and saved.source.max(initial=0) < len(SOURCES) and
         saved.dirty.max(initial=0) <= 1 and saved.gone.max(initial=0) <= 1,
+        'posteriors': bool(((saved.posterior >= 0) & (saved.posterior <= 1)).all()),
         'evidence': bool((np.diff(saved.evidence_start) > 0).all())})
     starts, changes = np.zeros(MAX_ID + 2, np.int64), np.zeros(MAX_ID + 2, np.int64)
     fault = examine(
@@ -78,7 +79,8 @@ def _check_lengths(saved: MemoryDump, about: Mapping[str, Any]) -> None:
     n, rows = len(saved.cell), np.diff(saved.block_start)
     evidence, history = len(saved.evidence_sum), len(saved.history_frame)
     lengths = {'observations': n, 'switches': n, 'label': n, 'majority': n, 'last': n,
-               'first_label': n, 'source': n, 'dirty': n, 'gone': n, 'evidence_class': evidence,
+               'first_label': n, 'source': n, 'dirty': n, 'gone': n, 'posterior': n,
+               'evidence_class': evidence,
                'history_label': history,
                'history_confidence': history, 'history_offset': history}
     _all_or_damaged({

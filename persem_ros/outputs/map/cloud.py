@@ -7,7 +7,7 @@ POINT = np.dtype({
     'formats': ['<f4', '<f4', '<f4', '<f4', '<u2', '<u2', '<f4', '<u4', 'u1'],
     'offsets': [0, 4, 8, 12, 16, 18, 20, 24, 28],
     'itemsize': 32})
-SOURCES = ('majority', 'history', 'trust', 'context')
+SOURCES = ('majority', 'history', 'trust', 'context', 'geometry')
 COPIED = ('label', 'majority', 'confidence', 'observations', 'source')
 
 

@@ -16,7 +16,7 @@ ORDER = {'about': 'name', 'sessions': 'number', 'mounts': 'session, sensor', 'fr
          'classes': 'id', 'blocks': 'x, y, z'}
 VOXEL = (('cell', '<u2'), ('observations', '<u4'), ('switches', '<u4'), ('label', '<u2'),
          ('majority', '<u2'), ('last', '<u2'), ('first_label', '<u2'), ('source', 'u1'),
-         ('dirty', 'u1'), ('gone', 'u1'))
+         ('dirty', 'u1'), ('gone', 'u1'), ('posterior', '<f4'))
 EVIDENCE = (('evidence_class', '<u2'), ('evidence_sum', '<f8'))
 HISTORY = (('history_label', '<u2'), ('history_confidence', '<f4'), ('history_frame', '<i4'),
            ('history_offset', 'u1'))

@@ -69,4 +69,5 @@ def added(columns: dict[str, NDArray], history_start: NDArray[np.int64],
     return {'history_frame': rows[place].astype(np.int32) if len(t) else t,
             'history_offset': np.full((len(t), 3), CENTRE, np.uint8),
             'first_label': columns['history_label'][first],
-            'gone': np.zeros(len(first), np.uint8)}
+            'gone': np.zeros(len(first), np.uint8),
+            'posterior': np.zeros(len(first), np.float32)}

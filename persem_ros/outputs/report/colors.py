@@ -6,13 +6,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-# In the order of outputs.map.cloud.SOURCES: majority, history, trust, context.
-SOURCE_COLORS = ((86, 180, 233), (230, 159, 0), (0, 158, 115), (204, 121, 167))
+# In the order of outputs.map.cloud.SOURCES.
+SOURCE_COLORS = ((86, 180, 233), (230, 159, 0), (0, 158, 115), (204, 121, 167), (213, 94, 0))
 SOURCE_TEXTS = {
     'majority': 'the most evidence of the voxel itself',
     'history': "the neighbours' histories outweighed it",
     'trust': 'recent, trusted observations, verified by the neighbours',
-    'context': "the neighbours' majority"}
+    'context': "the neighbours' majority",
+    'geometry': 'what places of this shape are called here, and its neighbours'}
 VERDICT_COLORS = ((86, 180, 233), (230, 110, 20))
 VERDICTS = ('mended', 'spoilt')
 

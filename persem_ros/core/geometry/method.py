@@ -1,0 +1,110 @@
+"""The method geometry on a snapshot: votes, shapes, parameters, labels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Optional
+
+import numpy as np
+from numpy.typing import NDArray
+from persem_ros.core.geometry.ground import Ground, ground_of, lower, NONE, TILE, tiles_of
+from persem_ros.core.geometry.groups import Groups, groups_of, make_cells
+from persem_ros.core.geometry.labelling import label_rows
+from persem_ros.core.geometry.parameters import Parameters
+from persem_ros.core.geometry.schedule import fit
+from persem_ros.core.geometry.score import tables_of
+from persem_ros.core.geometry.shape import occupy, shapes_of
+from persem_ros.core.geometry.upright import up_of, upright
+from persem_ros.core.geometry.votes import take_votes
+from persem_ros.core.memory.pools import ROWS
+
+GEOMETRY = 4        # source of a label that is not the majority's, spec section 8
+
+
+class Labelled(NamedTuple):
+    """Labels (uint16), sources (uint8) and posteriors (float32) of rows, and their parameters."""
+
+    labels: NDArray[np.uint16]
+    sources: NDArray[np.uint8]
+    posterior: NDArray[np.float32]
+    parameters: Optional[Parameters]
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """
+    Where the voxels of a snapshot lie, by rows.
+
+    Attributes
+    ----------
+    index : ndarray, shape (n, 3), int32
+        Upright indices.
+    tile : ndarray, shape (n,), int64
+        The tile of *ground* in which each lies.
+    shape : ndarray, shape (n,), uint8
+        tilt * 3 + roughness.
+    ground : Ground
+
+    """
+
+    index: NDArray[np.int32]
+    tile: NDArray[np.int64]
+    shape: NDArray[np.uint8]
+    ground: Ground
+
+
+def relabel(memory: Any, taken: Any, settings: Any,
+            parameters: Optional[Parameters] = None) -> Labelled:
+    """
+    Label the refined rows of a snapshot.
+
+    Parameters
+    ----------
+    memory : core.memory.voxel_memory.VoxelMemory
+        The map; histories are read, nothing is written.
+    taken : core.refine.snapshot.Snapshot
+        The whole map, or with *parameters* a part with two rings around what is to be refined.
+    settings : persem_ros.settings.config.Refine
+        up and geometry.
+    parameters : Parameters, optional
+        What to go by; None: the schedule is run from its start.
+
+    """
+    constants = settings.geometry
+    if not len(taken.number):
+        return Labelled(*(np.zeros(0, t) for t in ('u2', 'u1', 'f4')), parameters)
+    votes = take_votes(memory, taken, constants.directions)
+    places = places_of(memory, taken, settings)
+    if parameters is None:
+        cells = tuple(make_cells(places.ground, offset, constants.cell)
+                      for offset in (0, constants.cell // 2))
+        groups = groups_in(places, cells, constants.cell)
+        parameters = fit(votes, groups, cells, constants)
+    else:
+        groups = groups_in(places, parameters.cells, constants.cell)
+    best, posterior = label_rows(memory.m.blocks, taken, votes, groups,
+                                 tables_of(parameters, constants), constants.smoothing)
+    labels = votes.classes[best]
+    sources = np.where(labels != taken.majority[:taken.refined], GEOMETRY, 0).astype(np.uint8)
+    return Labelled(labels, sources, posterior, parameters)
+
+
+def places_of(memory: Any, taken: Any, settings: Any) -> Places:
+    """Return where the voxels of a snapshot of the whole map lie."""
+    up, blocks = up_of(settings.up), memory.m.blocks
+    first = np.flatnonzero(np.diff(taken.block, prepend=-1))        # voxels come block by block
+    tiles, tile = tiles_of(upright(blocks['index'][taken.block[first]], up))
+    tile = np.repeat(tile, np.diff(np.append(first, len(taken.block))))
+    index = upright(taken.index, up)
+    lowest = np.full((len(tiles), TILE), NONE, np.int32)
+    lower(index, tile, lowest)
+    ground = ground_of(tiles, lowest, settings.geometry.window)
+    occupied = np.zeros((int(taken.block.max()) + 1, ROWS), np.uint8)
+    occupy(taken.block, taken.cell, occupied)
+    shape = shapes_of(blocks, occupied, taken.block, taken.cell, up.k)
+    return Places(index, tile, shape, ground)
+
+
+def groups_in(places: Places, cells: Any, cell: int) -> Groups:
+    """Return the groups of places, by the numbers of cells."""
+    return groups_of(places.index, places.tile, places.shape, places.ground, cells, cell)

@@ -1,0 +1,201 @@
+"""
+The posterior of a voxel from its votes, its shape and its neighbours, for up to 64 classes.
+
+Logarithms are taken once a round (Tables); what is left per voxel are products, sums and
+exponentials, all in the order that section 12 gives.
+
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from persem_ros.core.geometry.groups import Groups
+from persem_ros.core.geometry.parameters import Parameters, Sums, TERM
+from persem_ros.core.geometry.votes import Votes
+from persem_ros.core.jit import kernel, split
+from persem_ros.core.memory.blocks import step
+
+FAINT = 1e-4        # a Q of this and less adds nothing to sums, but for pi's
+
+
+class Tables(NamedTuple):
+    """Logarithms of the parameters: pi (K,), theta (K, K) with rows c, and P_k / pi by group."""
+
+    pi: NDArray[np.float64]
+    theta: NDArray[np.float64]
+    fine: NDArray[np.float64]
+    coarse: NDArray[np.float64]
+    shifted: NDArray[np.float64]
+    rho: float
+    weight: float
+
+
+def tables_of(parameters: Parameters, settings: Any) -> Tables:
+    """Return the Tables of parameters; settings are those of refine.geometry."""
+    ratios = [np.log(parameters.shares(k, settings.prior) / parameters.pi) for k in range(3)]
+    return Tables(np.log(parameters.pi), np.ascontiguousarray(np.log(parameters.theta + 1e-6).T),
+                  *ratios, parameters.rho, settings.weight)
+
+
+def begin_sums(votes: Votes, groups: Groups, sizes: list[int]) -> Sums:
+    """Return the sums of the start, where Q is p."""
+    return _summed(split(count_shares, len(votes.count), votes.start, votes.count, votes.place,
+                         votes.share, votes.total, 0.4, groups.fine, groups.coarse,
+                         groups.shifted, len(votes.classes), *sizes))
+
+
+def round_sums(votes: Votes, groups: Groups, sizes: list[int], tables: Tables) -> Sums:
+    """Return the sums of one round without neighbours: Q of every voxel, counted at once."""
+    return _summed(split(count_posteriors, len(votes.count), votes.start, votes.count,
+                         votes.place, votes.share, votes.total, votes.agreement, groups.fine,
+                         groups.coarse, groups.shifted, *tables, *sizes))
+
+
+def _summed(parts: list[Any]) -> Sums:
+    """Return the sum of the slices' sums."""
+    total = None
+    for confusion, mass, fine, coarse, shifted, share, agreement in parts:
+        part = Sums(confusion, mass, [fine, coarse, shifted], share, int(agreement))
+        if total is None:
+            total = part
+        else:
+            total.add(part)
+    assert total is not None
+    return total
+
+
+@kernel
+def count_shares(begin, end, start, count, place, share, total, rho, fine, coarse, shifted, K,
+                 n_fine, n_coarse, n_shifted):
+    """Return the sums over voxels begin .. end where Q is p."""
+    C, mass = np.zeros((K, K), np.int64), np.zeros(K, np.int64)
+    R1, R2, R3 = np.zeros((n_fine, K), np.int64), np.zeros((n_coarse, K), np.int64), \
+        np.zeros((n_shifted, K), np.int64)
+    for r in range(begin, end):
+        n = total[r] / (1.0 + rho * max(total[r] - 1.0, 0.0))
+        for e in range(start[r], start[r] + count[r]):
+            z, q = place[e], share[e]
+            for d in range(start[r], start[r] + count[r]):
+                C[z, place[d]] += np.int64(np.rint(q * n * share[d] * TERM))
+            whole = np.int64(np.rint(q * TERM))
+            mass[z] += whole
+            R1[fine[r], z] += whole
+            R2[coarse[r], z] += whole
+            R3[shifted[r], z] += whole
+    return C, mass, R1, R2, R3, np.zeros(K, np.int64), np.int64(0)
+
+
+@kernel
+def count_posteriors(begin, end, start, count, place, share, total, agreement, fine, coarse,
+                     shifted, log_pi, log_theta, log_fine, log_coarse, log_shifted, rho, weight,
+                     n_fine, n_coarse, n_shifted):
+    """Return the sums over voxels begin .. end of a round without neighbours."""
+    K = len(log_pi)
+    C, mass = np.zeros((K, K), np.int64), np.zeros(K, np.int64)
+    R1, R2, R3 = np.zeros((n_fine, K), np.int64), np.zeros((n_coarse, K), np.int64), \
+        np.zeros((n_shifted, K), np.int64)
+    alike, agreed = np.zeros(K, np.int64), np.int64(0)
+    Q = np.empty(K)
+    for r in range(begin, end):
+        n = total[r] / (1.0 + rho * max(total[r] - 1.0, 0.0))
+        a, b = start[r], start[r] + count[r]
+        Q[:] = 0.0
+        for e in range(a, b):
+            p, row = share[e], log_theta[place[e]]
+            for z in range(K):
+                Q[z] += p * row[z]
+        one, two, three = log_fine[fine[r]], log_coarse[coarse[r]], log_shifted[shifted[r]]
+        most = -np.inf
+        for z in range(K):
+            Q[z] = log_pi[z] + n * Q[z] + weight * (one[z] + two[z] + three[z])
+            most = max(most, Q[z])
+        whole = 0.0
+        for z in range(K):
+            Q[z] = np.exp(Q[z] - most)
+            whole += Q[z]
+        for z in range(K):
+            q = Q[z] / whole
+            term = np.int64(np.rint(q * TERM))
+            mass[z] += term
+            if q <= FAINT:
+                continue
+            for e in range(a, b):
+                C[z, place[e]] += np.int64(np.rint(q * n * share[e] * TERM))
+            R1[fine[r], z] += term
+            R2[coarse[r], z] += term
+            R3[shifted[r], z] += term
+            if agreement[r] >= 0.0:
+                alike[z] += term
+                agreed += np.int64(np.rint(q * agreement[r] * TERM))
+    return C, mass, R1, R2, R3, alike, agreed
+
+
+@kernel
+def score(begin, end, wanted, start, count, place, share, total, fine, coarse, shifted, log_pi,
+          log_theta, log_fine, log_coarse, log_shifted, rho, weight, blocks, block, cell, row,
+          where, before, smoothing, after):
+    """
+    Write Q of the rows wanted[begin:end] to *after*, at where[row].
+
+    row is the snapshot's row + 1 of a voxel number. With a smoothing of 0 no neighbour is looked
+    at, otherwise their Q are read from *before*.
+
+    """
+    K = len(log_pi)
+    for w in range(begin, end):
+        r = wanted[w]
+        n = total[r] / (1.0 + rho * max(total[r] - 1.0, 0.0))
+        Q = after[where[r]]
+        Q[:] = 0.0
+        for e in range(start[r], start[r] + count[r]):
+            p, of = share[e], log_theta[place[e]]
+            for z in range(K):
+                Q[z] += p * of[z]
+        one, two, three = log_fine[fine[r]], log_coarse[coarse[r]], log_shifted[shifted[r]]
+        for z in range(K):
+            Q[z] = log_pi[z] + n * Q[z] + weight * (one[z] + two[z] + three[z])
+        if smoothing != 0.0:
+            mean, around = np.zeros(K), 0
+            here = blocks[block[r]]
+            for d in range(27):
+                other, at = step(here, cell[r], d)
+                if d == 13 or other == 0:
+                    continue
+                v = np.int64(blocks[other - 1].cells[at])
+                if v == 0 or v > len(row) or row[v - 1] == 0:
+                    continue
+                around += 1
+                theirs = before[where[np.int64(row[v - 1]) - 1]]
+                for z in range(K):
+                    mean[z] += theirs[z]
+            if around > 0:
+                for z in range(K):
+                    Q[z] += smoothing * (mean[z] / around)
+        most = -np.inf
+        for z in range(K):
+            most = max(most, Q[z])
+        whole = 0.0
+        for z in range(K):
+            Q[z] = np.exp(Q[z] - most)
+            whole += Q[z]
+        for z in range(K):
+            Q[z] /= whole
+
+
+@kernel
+def decide(begin, end, wanted, where, posterior, best, confidence):
+    """Write the most probable class and its probability; a tie goes to the smaller id."""
+    for w in range(begin, end):
+        r = wanted[w]
+        Q = posterior[where[r]]
+        most = Q[0]
+        for z in range(1, len(Q)):
+            most = max(most, Q[z])
+        z = 0
+        while most - Q[z] > 1e-9:
+            z += 1
+        best[r] = z
+        confidence[r] = Q[z]

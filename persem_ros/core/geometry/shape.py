@@ -1,0 +1,162 @@
+"""The shape of a place: how its surroundings lie, from which of the 5 x 5 x 5 are occupied."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from persem_ros.core.jit import inlined, kernel, split
+from persem_ros.core.memory.evidence import TIE
+from persem_ros.core.memory.pools import SIDE
+
+TILTS = 0.5, 0.9            # |z| of the normal: upright, sloping, level
+ROUGHNESS = 0.02, 0.06      # least share of the spread: smooth, rough, scattered
+LEVELS = 3                  # of roughness
+NO_TILT = 3                 # the fourth tilt: there is no normal
+FEWEST = 4                  # occupied voxels that make a shape
+RADIUS = 2
+WIDE = SIDE + 2 * RADIUS
+
+
+def shapes_of(blocks: NDArray[np.void], occupied: NDArray[np.uint8], block: NDArray[np.int64],
+              cell: NDArray[np.int64], axis: int) -> NDArray[np.uint8]:
+    """
+    Return tilt * 3 + roughness of each voxel.
+
+    Parameters
+    ----------
+    blocks : ndarray, core.memory.pools.BLOCK
+        The map's blocks.
+    occupied : ndarray, shape (blocks, 64), uint8
+        A bit per cell, in rows of 8 along z: the voxels that count.
+    block, cell : ndarray, shape (n,), int64
+        The voxels, those of a block together.
+    axis : int
+        Which axis points up or down.
+
+    """
+    result = np.empty(len(block), np.uint8)
+    split(describe, len(block), blocks, occupied, block, cell, axis, result)
+    return result
+
+
+@kernel
+def occupy(block, cell, occupied):
+    """Set the bits of the given voxels in occupied (blocks, 64)."""
+    for r in range(len(block)):
+        occupied[block[r], cell[r] >> 3] |= np.uint8(1 << (cell[r] & 7))
+
+
+@kernel
+def describe(begin, end, blocks, occupied, block, cell, axis, shape):
+    """Write tilt * 3 + roughness of voxels begin .. end."""
+    around = np.zeros((WIDE, WIDE), np.int64)       # rows of bits along z, two more on each side
+    number, first, second = np.zeros(32, np.int64), np.zeros(32, np.int64), np.zeros(32, np.int64)
+    for bits in range(32):
+        for z in range(5):
+            if bits >> z & 1:
+                number[bits] += 1
+                first[bits] += z - RADIUS
+                second[bits] += (z - RADIUS) * (z - RADIUS)
+    here = np.int64(-1)
+    for r in range(begin, end):
+        if block[r] != here:
+            here = block[r]
+            surround(blocks[here], occupied, around)
+        x, y, z = cell[r] >> 6, cell[r] >> 3 & 7, cell[r] & 7
+        n, sx, sy, sz = 0, 0, 0, 0
+        xx, yy, zz, xy, xz, yz = 0, 0, 0, 0, 0, 0
+        for dx in range(-RADIUS, RADIUS + 1):
+            for dy in range(-RADIUS, RADIUS + 1):
+                bits = around[x + dx + RADIUS, y + dy + RADIUS] >> z & 31
+                m, s = number[bits], first[bits]
+                n += m
+                sx += dx * m
+                sy += dy * m
+                sz += s
+                xx += dx * dx * m
+                yy += dy * dy * m
+                zz += second[bits]
+                xy += dx * dy * m
+                xz += dx * s
+                yz += dy * s
+        if n < FEWEST:
+            shape[r] = NO_TILT * LEVELS
+            continue
+        # n^2 times the covariance: whole numbers, so that only what follows is rounded.
+        tilt, roughness = tilt_and_roughness(
+            np.float64(n * xx - sx * sx), np.float64(n * yy - sy * sy),
+            np.float64(n * zz - sz * sz), np.float64(n * xy - sx * sy),
+            np.float64(n * xz - sx * sz), np.float64(n * yz - sy * sz), axis)
+        shape[r] = tilt * LEVELS + roughness
+
+
+@inlined
+def surround(block, occupied, around):
+    """Gather the bits of a block and of two cells around it on all sides."""
+    near = block.near
+    for x in range(WIDE):
+        for y in range(WIDE):
+            column = (((x + SIDE - RADIUS) >> 3) * 3 + ((y + SIDE - RADIUS) >> 3)) * 3
+            row = ((x - RADIUS) & 7) * SIDE + ((y - RADIUS) & 7)
+            bits = np.int64(0)
+            below, own, above = near[column], near[column + 1], near[column + 2]
+            if below and np.int64(below) <= len(occupied):
+                bits |= np.int64(occupied[np.int64(below) - 1, row]) >> 6
+            if own and np.int64(own) <= len(occupied):
+                bits |= np.int64(occupied[np.int64(own) - 1, row]) << 2
+            if above and np.int64(above) <= len(occupied):
+                bits |= (np.int64(occupied[np.int64(above) - 1, row]) & 3) << 10
+            around[x, y] = bits
+
+
+@inlined
+def tilt_and_roughness(xx, yy, zz, xy, xz, yz, axis):
+    """
+    Return the classes of tilt and roughness of a covariance: Jacobi's method, to the last bits.
+
+    v* is the row of the eigenvectors that belongs to the axis.
+
+    """
+    trace = xx + yy + zz
+    if trace == 0.0:
+        return NO_TILT, 0
+    vx, vy, vz = 1.0 * (axis == 0), 1.0 * (axis == 1), 1.0 * (axis == 2)
+    for _ in range(30):
+        if xy * xy + xz * xz + yz * yz <= 1e-34 * trace * trace:
+            break
+        if xy != 0.0:
+            t, c, s = turn(xx, yy, xy)
+            xx, yy, xy = xx - t * xy, yy + t * xy, 0.0
+            xz, yz = c * xz - s * yz, s * xz + c * yz
+            vx, vy = c * vx - s * vy, s * vx + c * vy
+        if xz != 0.0:
+            t, c, s = turn(xx, zz, xz)
+            xx, zz, xz = xx - t * xz, zz + t * xz, 0.0
+            xy, yz = c * xy - s * yz, s * xy + c * yz
+            vx, vz = c * vx - s * vz, s * vx + c * vz
+        if yz != 0.0:
+            t, c, s = turn(yy, zz, yz)
+            yy, zz, yz = yy - t * yz, zz + t * yz, 0.0
+            xy, xz = c * xy - s * xz, s * xy + c * xz
+            vy, vz = c * vy - s * vz, s * vy + c * vz
+    if yy < xx:
+        xx, yy, vx, vy = yy, xx, vy, vx
+    if zz < xx:
+        xx, zz, vx, vz = zz, xx, vz, vx
+    least, next_least, up = max(xx, 0.0), min(yy, zz), abs(vx)
+    share = least / trace
+    roughness = 1 * (ROUGHNESS[0] + TIE < share) + 1 * (ROUGHNESS[1] + TIE < share)
+    if next_least - xx <= 1e-6 * trace:
+        return NO_TILT, roughness
+    return 1 * (TILTS[0] + TIE < up) + 1 * (TILTS[1] + TIE < up), roughness
+
+
+@inlined
+def turn(p, q, pq):
+    """Return tangent, cosine and sine of the rotation that takes away the element pq."""
+    theta = (q - p) / (2.0 * pq)
+    t = 1.0 / (abs(theta) + np.sqrt(theta * theta + 1.0))
+    if theta < 0.0:
+        t = -t
+    c = 1.0 / np.sqrt(t * t + 1.0)
+    return t, c, t * c

@@ -1,0 +1,235 @@
+"""The method geometry against its plain reference (section 12 of the specification)."""
+
+from dataclasses import replace
+
+from core_worlds import examples, observations
+import geometry_reference as plain
+from hypothesis import given, strategies as st
+import numpy as np
+from persem_ros.core import jit
+from persem_ros.core.geometry.ground import NONE, TILE, tiles_of, windowed_minimum
+from persem_ros.core.geometry.labelling import label_rows
+from persem_ros.core.geometry.method import places_of, relabel
+from persem_ros.core.memory.voxel_memory import VoxelMemory
+from persem_ros.core.refine.job import label, refine
+from persem_ros.core.refine.snapshot import take
+from persem_ros.settings.config import Geometry, Refine
+import pytest
+
+SIZE = 0.5
+ORIGIN = (3.0, -20.0, 7.5)
+GEOMETRY = replace(Refine(), method='geometry')
+
+
+def world(rng, kind, corner):
+    """Return the voxels (n, 3) of a scene of some kind, around a corner."""
+    n = int(rng.integers(3, 9))
+    square = np.stack(np.meshgrid(np.arange(n), np.arange(n), [0]), -1).reshape(-1, 3)
+    line = np.zeros((n, 3), int)
+    line[:, 2] = np.arange(n)
+    found = {'flat': square,
+             'wall': square[:, [0, 2, 1]],
+             'slope': square + square[:, :1] * [0, 0, 1],
+             'pole': np.concatenate([square, line + [1, 1, 1]]),
+             'wire': np.concatenate([square[square[:, 0] != 1], line[:, [2, 0, 1]] + [0, 2, 9]]),
+             'cloud': np.argwhere(rng.random((n, n, n)) < 0.3),
+             'far columns': np.concatenate([square, square + [24, 3, 6], square - [0, 45, 2]]),
+             'one': np.zeros((1, 3), int)}[kind]
+    return np.unique(np.concatenate([found, np.zeros((1, 3), int)]) + corner, axis=0)
+
+
+KINDS = ('flat', 'wall', 'slope', 'pole', 'wire', 'cloud', 'far columns', 'one')
+CORNERS = ((0, 0, 0), (-3, 5, -2), (-40, 7, 6), (10 ** 6, -10 ** 6, -1))
+
+
+@st.composite
+def flights(draw, ids=None, kinds=KINDS):
+    """
+    Draw frames over a scene.
+
+    Returns
+    -------
+    list of (stamp, dict, tuple)
+        Per frame the stamp, {voxel: (c, s)} and the sensor's position in the map: anywhere,
+        within a voxel, or straight along an axis from one.
+
+    """
+    rng = np.random.default_rng(draw(st.integers(0, 2 ** 32 - 1)))
+    voxels = world(rng, draw(st.sampled_from(kinds)), draw(st.sampled_from(CORNERS)))
+    ids = ids or [int(c) for c in rng.permutation([0, 1, 2, 7, 300, 65534])[
+        :draw(st.integers(1, 6))]]
+    shares = draw(st.sampled_from([(1.0,), (0.5, 1.0), (0.25, 0.4, 2 / 3, 1.0)]))
+    rate, where = draw(st.sampled_from([0.1, 0.5, 1.0])), draw(st.integers(0, 2))
+    habit = rng.choice(ids, len(voxels))
+    frames = []
+    for stamp in range(draw(st.integers(1, 12))):
+        sensor = (voxels.mean(axis=0) + 0.5) * SIZE + np.array(ORIGIN)
+        if where == 0 or rng.random() < 0.3:
+            sensor += rng.normal(scale=4.0, size=3)
+        else:
+            sensor = (voxels[rng.integers(len(voxels))] + 0.5) * SIZE + np.array(ORIGIN)
+            sensor += SIZE * (where == 2) * rng.integers(-3, 4) * np.eye(3)[rng.integers(3)]
+        seen = {tuple(v): (int(c if rng.random() < 0.6 else rng.choice(ids)),
+                           float(np.float32(rng.choice(shares))))
+                for v, c in zip(voxels.tolist(), habit) if rng.random() < rate}
+        frames.append((stamp, seen, tuple(sensor.tolist())))
+    return frames
+
+
+def memory_of(frames, max_history=0):
+    """Return the core's memory of frames."""
+    memory = VoxelMemory(SIZE, ORIGIN, max_history)
+    for stamp, seen, sensor in frames:
+        T = np.eye(4)
+        T[:3, 3] = sensor
+        memory.add(replace(observations(stamp, seen), T_map_sensor=T))
+    return memory
+
+
+def histories_of(frames):
+    """Return the reference's histories of frames."""
+    found = {}
+    for _, seen, sensor in frames:
+        for voxel, (c, s) in seen.items():
+            found.setdefault(voxel, []).append((c, s, sensor))
+    return found
+
+
+def assert_alike(memory, wanted, confident=1e-6):
+    """Hold a refined map against the reference's result."""
+    columns = memory.voxels()
+    row = {tuple(v): i for i, v in enumerate(columns['voxel'].tolist())}
+    assert set(row) == set(wanted.voxels)
+    order = [row[v] for v in wanted.voxels]
+    top = np.sort(wanted.posterior, axis=1)[:, ::-1]
+    gap = top[:, 0] - top[:, 1] if top.shape[1] > 1 else np.ones(len(top))
+    clear = (gap < 1e-11) | (gap > 1e-7)        # else rounding may tip the scales
+    labels = columns['label'][order]
+    assert (labels == wanted.labels)[clear].all()
+    place = {c: z for z, c in enumerate(wanted.classes)}
+    own = wanted.posterior[np.arange(len(order)), [place[int(c)] for c in labels]]
+    assert np.abs(columns['confidence'][order] - own).max() <= confident
+    assert (columns['source'][order] == np.where(
+        labels == columns['majority'][order], 0, 4)).all()
+
+
+SETTINGS = st.sampled_from([
+    Geometry(), Geometry(), Geometry(directions=2), Geometry(directions=32, cell=2),
+    Geometry(window=0, cell=5), Geometry(window=3, cell=9), Geometry(weight=0.0),
+    Geometry(smoothing=0.0, rounds=1), Geometry(prior=1.0, shrink=1.0, rounds=5)])
+UPS = st.sampled_from(['z', 'z', 'x', 'y', '-x', '-y', '-z'])
+
+
+@given(flights(), SETTINGS, UPS, st.sampled_from([0, 0, 1, 3]))
+@examples(max_examples=80)
+def test_as_the_reference(frames, constants, up, bound):
+    memory, histories = memory_of(frames, bound), histories_of(frames)
+    settings = replace(GEOMETRY, up=up, geometry=constants)
+    assert refine(memory, settings) == len(histories)
+    if histories:
+        wanted = plain.geometry(histories, SIZE, ORIGIN, up, bound, constants)
+        assert_alike(memory, wanted)
+        assert memory.geometry.rho == pytest.approx(wanted.parameters.rho, abs=1e-8)
+        assert np.abs(memory.geometry.theta - wanted.parameters.theta).max() < 1e-6
+
+
+@given(st.integers(0, 2 ** 32 - 1), st.sampled_from([0, 1, 2, 7, 8, 20, 41]),
+       st.integers(1, 60))
+@examples(max_examples=60)
+def test_the_least_of_a_window_of_columns(seed, window, spread):
+    rng = np.random.default_rng(seed)
+    columns = np.unique(rng.integers(-spread, spread, (int(rng.integers(1, 40)), 2)), axis=0)
+    values = rng.integers(-99, 99, len(columns))
+    tiles, tile = tiles_of(np.c_[columns >> 3, columns[:, :1]].astype(np.int32))
+    grid = np.full((len(tiles), TILE), NONE, np.int32)
+    place = (columns[:, 0] & 7) * 8 + (columns[:, 1] & 7)
+    grid[tile, place] = values
+    found = windowed_minimum(tiles, grid, window)[tile, place]
+    near = np.abs(columns[:, None] - columns[None]).max(axis=2) <= window
+    assert found.tolist() == [values[row].min() for row in near]
+
+
+@given(flights(), UPS)
+@examples(max_examples=40)
+def test_shapes_are_the_references(frames, up):
+    memory = memory_of(frames)
+    if not memory.n_voxels:
+        return
+    taken = take(memory)
+    places = places_of(memory, taken, replace(GEOMETRY, up=up))
+    upright = np.array([plain.upright(v, up) for v in taken.index.tolist()])
+    assert (places.index == upright).all()
+    heights, _, _, groups = plain.shapes(upright)
+    column = (upright[:, 0] & 7) * 8 + (upright[:, 1] & 7)
+    assert (upright[:, 2] - places.ground.level[places.tile, column] == heights).all()
+    assert places.shape.tolist() == [b1 % 12 for b1, _, _ in groups]
+
+
+def big_flight(seed=0, side=60, classes=5, n_frames=12):
+    """Return frames over a rough plane with towers, large enough for several slices."""
+    rng = np.random.default_rng(seed)
+    i, j = np.meshgrid(np.arange(side), np.arange(side), indexing='ij')
+    ground = np.stack([i, j, (i // 16) % 2], -1).reshape(-1, 3)
+    towers = np.stack(np.meshgrid(np.arange(10, 18), np.arange(20, 30), np.arange(2, 9)),
+                      -1).reshape(-1, 3)
+    voxels = np.concatenate([ground, towers]) - [20, 30, 4]
+    habit = np.where(voxels[:, 2] > -2, 1, (voxels[:, 0] // 9) % classes)
+    frames = []
+    for stamp in range(n_frames):
+        kept = rng.random(len(voxels)) < 0.6
+        labels = np.where(rng.random(len(voxels)) < 0.4, rng.integers(0, classes, len(voxels)),
+                          habit)
+        shares = rng.choice([0.4, 2 / 3, 1.0], len(voxels)).astype(np.float32)
+        frames.append((stamp, {tuple(v): (int(c), float(s)) for v, c, s in zip(
+            voxels[kept].tolist(), labels[kept], shares[kept])},
+            (2.0 * stamp - 10, 1.0 * stamp, 20.0)))
+    return frames
+
+
+def test_the_same_bytes_for_any_order_of_frames_and_number_of_threads():
+    frames, results, before = big_flight(), [], jit.threads()
+    try:
+        for threads, order in ((1, 1), (2, 1), (7, -1), (2, 5)):
+            jit.set_threads(threads)
+            shuffled = frames[::order] if order < 2 else frames[order:] + frames[:order]
+            memory = memory_of(shuffled)
+            refine(memory, GEOMETRY)
+            columns = memory.voxels()
+            results.append([columns[name].tobytes() for name in ('voxel', 'label', 'confidence')]
+                           + [a.tobytes() for a in (memory.geometry.theta, memory.geometry.pi)])
+    finally:
+        jit.set_threads(before)
+    assert results[1:] == results[:1] * 3
+
+
+@pytest.mark.parametrize('buffer', [1, 1 << 19])
+def test_the_same_bytes_in_slices(buffer, monkeypatch):
+    memory = memory_of(big_flight())
+    taken = take(memory)
+    whole = relabel(memory, taken, GEOMETRY)
+    monkeypatch.setattr('persem_ros.core.geometry.labelling.SLICE', 700)
+    monkeypatch.setattr('persem_ros.core.geometry.method.label_rows',
+                        lambda *arguments: label_rows(*arguments, buffer=buffer))
+    sliced = relabel(memory, taken, GEOMETRY)
+    assert [a.tobytes() for a in whole[:3]] == [a.tobytes() for a in sliced[:3]]
+
+
+def test_labelling_without_entering_is_the_same():
+    memory = memory_of(big_flight(1, side=20))
+    labels, sources = label(memory, 'geometry', GEOMETRY)
+    assert not memory.store.beliefs['posterior'][:memory.n_numbers].any()
+    refine(memory, GEOMETRY)
+    columns = memory.voxels()
+    assert (labels[columns['number']] == columns['label']).all()
+    assert (sources[columns['number']] == columns['source']).all()
+    assert 4 in columns['source'] and (columns['confidence'] > 0).all()
+
+
+def test_another_method_takes_the_posteriors_back():
+    memory = memory_of(big_flight(2, side=12))
+    refine(memory, replace(Refine(), method='majority'))
+    shares = memory.voxels()['confidence']
+    refine(memory, GEOMETRY)
+    assert (memory.voxels()['confidence'] != shares).any()
+    refine(memory, replace(Refine(), method='majority'), full=False)
+    assert (memory.voxels()['confidence'] == shares).all()
