@@ -174,6 +174,8 @@ class Memory:
         Metres; only section 12 asks.
     histories : dict
         {voxel: [(c, s, t), ...]}.
+    rows : dict
+        {voxel: [f, ...]}: the frame of each observation, a place in *frames*.
     frames : list
         (stamp, sensor, T) of every added frame; stamps are nanoseconds.
     stamps : list
@@ -186,7 +188,7 @@ class Memory:
     def __init__(self, voxel_size=0.5, origin=(0.0, 0.0, 0.0)):
         """Start empty."""
         self.voxel_size, self.origin = voxel_size, origin
-        self.histories = {}
+        self.histories, self.rows = {}, {}
         self.frames = []
         self.stamps = []
         self.ids = set()
@@ -201,6 +203,7 @@ class Memory:
         for voxel, (c, s) in observations.items():
             self.ids.add(c)
             self.histories.setdefault(voxel, []).append(Observation(c, s, t))
+            self.rows.setdefault(voxel, []).append(len(self.frames) - 1)
 
     def evidence(self, voxel):
         """Section 2: h_v(c), the sum of s_i over the observations of class c."""
@@ -223,11 +226,6 @@ class Memory:
         """Section 2: the observed voxels among the n around it, in lexicographic order."""
         around = [tuple(a + b for a, b in zip(voxel, d)) for d in offsets(n)]
         return [u for u in around if u in self.histories]
-
-    def position(self, t):
-        """Section 12: where the sensor was; of two at one stamp, the first."""
-        return next(((0.0, 0.0, 0.0) if T is None else tuple(np.array(T)[:3, 3])
-                     for stamp, _, T in self.frames if stamp == self.stamps[t]))
 
     def volatility(self):
         """Section 3: rho(c) over all consecutive pairs of all histories; absent means 0."""
@@ -405,9 +403,11 @@ def label(memory, method, settings, max_history=0, rho=None):
 
 def geometrical(memory, settings, max_history=0):
     """Section 12: {voxel: (label, source)}."""
-    positions = [memory.position(t) for t in range(len(memory.stamps))]
+    positions = [(0.0, 0.0, 0.0) if T is None else tuple(np.array(T)[:3, 3])
+                 for _, _, T in memory.frames]
     found = geometry_reference.geometry(
-        {v: [(c, s, positions[t]) for c, s, t in history]
+        {v: [(c, s, positions[f]) for (c, s, _), f in zip(
+            history, memory.rows[v][-len(history):])]
          for v, history in memory.histories.items()},
         memory.voxel_size, memory.origin, settings.up, max_history, settings.geometry)
     return {v: (label_, GEOMETRY if label_ != memory.majority(v) else MAJORITY)

@@ -43,14 +43,15 @@ class Expected:
 
     def __init__(self, frames, config, methods):
         self.frames, self.config = frames, config
-        self.memory, m = ref.Memory(), config.memory
+        m = config.memory
+        self.memory = ref.Memory(m.voxel_size, config.map.origin)
         self.dynamic = [c for c in m.dynamic_labels if c >= 0]
         for f in frames:
             points, ids = ref.backproject(
                 f.depth, f.camera.rays, f.labels, m.ignore_labels, self.dynamic, m.min_depth,
                 m.max_depth, m.stride)
             self.memory.add(ref.observe(points, ids, f.T_map_camera, m.voxel_size, m.min_pixels,
-                                        config.map.origin), f.stamp, ids, f.sensor)
+                                        config.map.origin), f.stamp, ids, f.sensor, f.T_map_camera)
         voxel_methods = [name for name in (*methods, config.refine.method)
                          if name not in ('raw2d', 'ema2d')]
         self.labels = {name: {v: c for v, (c, _) in

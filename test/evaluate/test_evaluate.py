@@ -308,13 +308,13 @@ def test_methods_against_the_reference(recording):
     with sequence.recording:
         sequence.integrate()
         sequence.label()
-        plain = reference.Memory()
+        plain = reference.Memory(0.2)
         for frame in sequence.recording.frames():
             points, labels = reference.backproject(
                 frame.depth.tolist(), frame.camera.rays.tolist(), frame.labels.tolist(),
                 config_.memory.ignore_labels, config_.memory.dynamic_labels)
             plain.add(reference.observe(points, labels, frame.T_map_camera.tolist(), 0.2),
-                      frame.stamp, labels)
+                      frame.stamp, labels, T=frame.T_map_camera)
     memory = sequence.pipeline.memory
     for method in METHODS:
         found = sequence.labels_of(method)
