@@ -38,6 +38,10 @@ def warm_up():
     refine(memory, Refine())
     memory.add(seen)
     refine(memory, Refine(), full=False)
+    many = VoxelMemory(memory.voxel_size)           # more classes than the dense form takes
+    many.add(observe(seen_points, (np.arange(len(seen_points)) % 80).astype(ids.dtype),
+                     frame.T_map_camera, memory.voxel_size))
+    label(many, 'geometry', Refine())
     memory = load(dump(memory))
     first = memory.voxels()['voxel'][0]
     memory.evidence(first)

@@ -233,3 +233,38 @@ def test_another_method_takes_the_posteriors_back():
     assert (memory.voxels()['confidence'] != shares).any()
     refine(memory, replace(Refine(), method='majority'), full=False)
     assert (memory.voxels()['confidence'] == shares).all()
+
+
+@given(flights(), SETTINGS, st.sampled_from([0, 2]))
+@examples(max_examples=50)
+def test_the_sparse_form_as_the_reference(frames, constants, bound):
+    # Two candidates by shape in place of sixteen, so that six classes are many.
+    memory, histories = memory_of(frames, bound), histories_of(frames)
+    if not histories:
+        return
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr('persem_ros.core.geometry.method.MOST_DENSE', 0)
+        patch.setattr('persem_ros.core.geometry.sparse.LIKELY', 2)
+        patch.setattr(plain, 'CANDIDATES', 2)
+        settings = replace(GEOMETRY, geometry=constants)
+        refine(memory, settings)
+        wanted = plain.geometry(histories, SIZE, ORIGIN, 'z', bound, constants, dense=0)
+    assert_alike(memory, wanted)
+    assert memory.geometry.rho == pytest.approx(wanted.parameters.rho, abs=1e-8)
+
+
+def test_more_than_64_classes():
+    frames = big_flight(3, side=16, classes=90)
+    memory = memory_of(frames)
+    refine(memory, GEOMETRY)
+    wanted = plain.geometry(histories_of(frames), SIZE, ORIGIN)
+    assert len(wanted.classes) > 64
+    assert_alike(memory, wanted)
+    before = jit.threads()
+    try:
+        jit.set_threads(7)
+        again = memory_of(frames[::-1])
+        refine(again, GEOMETRY)
+    finally:
+        jit.set_threads(before)
+    assert again.voxels()['confidence'].tobytes() == memory.voxels()['confidence'].tobytes()

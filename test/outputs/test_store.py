@@ -180,7 +180,7 @@ def test_flipped_bytes_are_found_or_do_no_harm(path, memory):
 
 @pytest.mark.parametrize(('column', 'place', 'value'), [
     ('cell', 0, 512), ('label', 1, 65535), ('history_frame', 0, -1),
-    ('history_frame', 0, 12), ('source', 0, 4), ('gone', 0, 2), ('first_label', 0, 65535),
+    ('history_frame', 0, 12), ('source', 0, 5), ('gone', 0, 2), ('first_label', 0, 65535),
     ('observations', 0, 0), ('evidence_sum', 0, float('nan')), ('evidence_sum', 0, 0.0)])
 def test_columns_that_contradict_each_other_are_refused(path, memory, column, place, value):
     # a file with right checksums must not make the kernels write beside the pools

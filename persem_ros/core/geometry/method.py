@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Optional
+from typing import Any, NamedTuple, Optional, Union
 
 import numpy as np
 from numpy.typing import NDArray
+from persem_ros.core.geometry.dense import Dense
 from persem_ros.core.geometry.ground import Ground, ground_of, lower, NONE, TILE, tiles_of
-from persem_ros.core.geometry.groups import Groups, groups_of, make_cells
+from persem_ros.core.geometry.groups import Cells, Groups, groups_of, make_cells
 from persem_ros.core.geometry.labelling import label_rows
 from persem_ros.core.geometry.parameters import Parameters
 from persem_ros.core.geometry.schedule import fit
-from persem_ros.core.geometry.score import tables_of
 from persem_ros.core.geometry.shape import occupy, shapes_of
+from persem_ros.core.geometry.sparse import Sparse, SparseParameters
 from persem_ros.core.geometry.upright import up_of, upright
-from persem_ros.core.geometry.votes import take_votes
+from persem_ros.core.geometry.votes import take_votes, Votes
 from persem_ros.core.memory.pools import ROWS
 
+MOST_DENSE = 64     # classes; more have few candidates a voxel
 GEOMETRY = 4        # source of a label that is not the majority's, spec section 8
 
 
@@ -27,7 +29,7 @@ class Labelled(NamedTuple):
     labels: NDArray[np.uint16]
     sources: NDArray[np.uint8]
     posterior: NDArray[np.float32]
-    parameters: Optional[Parameters]
+    parameters: Optional[Union[Parameters, SparseParameters]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +56,7 @@ class Places:
 
 
 def relabel(memory: Any, taken: Any, settings: Any,
-            parameters: Optional[Parameters] = None) -> Labelled:
+            parameters: Optional[Union[Parameters, SparseParameters]] = None) -> Labelled:
     """
     Label the refined rows of a snapshot.
 
@@ -75,18 +77,27 @@ def relabel(memory: Any, taken: Any, settings: Any,
         return Labelled(*(np.zeros(0, t) for t in ('u2', 'u1', 'f4')), parameters)
     votes = take_votes(memory, taken, constants.directions)
     places = places_of(memory, taken, settings)
+    cells = cells_of(places, constants.cell) if parameters is None else parameters.cells
+    model = model_of(memory.m.blocks, taken, votes, groups_in(places, cells, constants.cell),
+                     cells, constants)
     if parameters is None:
-        cells = tuple(make_cells(places.ground, offset, constants.cell)
-                      for offset in (0, constants.cell // 2))
-        groups = groups_in(places, cells, constants.cell)
-        parameters = fit(votes, groups, cells, constants)
-    else:
-        groups = groups_in(places, parameters.cells, constants.cell)
-    best, posterior = label_rows(memory.m.blocks, taken, votes, groups,
-                                 tables_of(parameters, constants), constants.smoothing)
+        parameters = fit(model, constants.rounds)
+    best, posterior = label_rows(model, parameters)
     labels = votes.classes[best]
     sources = np.where(labels != taken.majority[:taken.refined], GEOMETRY, 0).astype(np.uint8)
     return Labelled(labels, sources, posterior, parameters)
+
+
+def model_of(blocks: Any, taken: Any, votes: Votes, groups: Groups, cells: tuple[Cells, Cells],
+             constants: Any) -> Union[Dense, Sparse]:
+    """Return the form of the model that fits the number of classes."""
+    form = Dense if len(votes.classes) <= MOST_DENSE else Sparse
+    return form(blocks, taken, votes, groups, cells, constants)
+
+
+def cells_of(places: Places, cell: int) -> tuple[Cells, Cells]:
+    """Return the cells of a map, and those shifted by half of one."""
+    return make_cells(places.ground, 0, cell), make_cells(places.ground, cell // 2, cell)
 
 
 def places_of(memory: Any, taken: Any, settings: Any) -> Places:

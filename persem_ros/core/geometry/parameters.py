@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +40,12 @@ class Sums:
     groups: list[NDArray[np.int64]]
     share: NDArray[np.int64]
     agreement: int
+
+    def alike(self) -> NDArray[np.float64]:
+        """Return the chance that two independent looks at each class say the same, (K,)."""
+        counted = self.confusion / TERM
+        rows = counted.sum(axis=1)
+        return ((counted / np.where(rows > 0, rows, 1.0)[:, None]) ** 2).sum(axis=1)
 
     def add(self, other: Sums) -> None:
         """Add the sums of another slice."""
@@ -79,6 +86,15 @@ class Parameters:
     groups: list[NDArray[np.float64]]
     rho: float
 
+    def looks_like(self, z: int, c: int) -> float:
+        """Return theta(z, c) of places of classes."""
+        return float(self.theta[z, c])
+
+    def group_share(self, k: int, b: int, prior: float) -> NDArray[np.float64]:
+        """Return P_k(z|b) of one group, (K,)."""
+        counted = self.groups[k][b]
+        return (counted + prior * self.pi) / (counted.sum() + prior)
+
     def shares(self, k: int, prior: float) -> NDArray[np.float64]:
         """Return P_k(z|b), shape (number of groups, K), for k = 0, 1, 2."""
         counted = self.groups[k]
@@ -98,16 +114,18 @@ def estimate(sums: Sums, n: int, classes: NDArray[np.uint16], cells: tuple[Cells
                       [group / TERM for group in sums.groups], rho)
 
 
-def correlation(sums: Sums, rho: float) -> float:
-    """Return how much two looks of a voxel share beyond its class; *rho* where nothing tells."""
+def correlation(sums: Any, rho: float) -> float:
+    """
+    Return how much two looks of a voxel share beyond its class; *rho* where nothing tells.
+
+    sums are Sums, or the sparse form's.
+
+    """
     share = sums.share / TERM
     if not share.sum() > 0:
         return rho
     A = sums.agreement / TERM / share.sum()
-    counted = sums.confusion / TERM
-    rows = counted.sum(axis=1)
-    alike = ((counted / np.where(rows > 0, rows, 1.0)[:, None]) ** 2).sum(axis=1)
-    B = float((share / share.sum() * alike).sum())
+    B = float((share / share.sum() * sums.alike()).sum())
     if 1.0 - B <= 1e-9:
         return rho
     return float(np.clip(2.0 * (A - B) / (1.0 - B), *RHO_BOUNDS))

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.geometry.groups import Groups
-from persem_ros.core.geometry.parameters import Parameters, Sums, TERM
+from persem_ros.core.geometry.groups import Cells, Groups, KINDS, SHAPES
+from persem_ros.core.geometry.parameters import estimate, Parameters, Sums, TERM
 from persem_ros.core.geometry.votes import Votes
 from persem_ros.core.jit import kernel, split
 from persem_ros.core.memory.blocks import step
@@ -40,18 +40,81 @@ def tables_of(parameters: Parameters, settings: Any) -> Tables:
                   *ratios, parameters.rho, settings.weight)
 
 
-def begin_sums(votes: Votes, groups: Groups, sizes: list[int]) -> Sums:
-    """Return the sums of the start, where Q is p."""
-    return _summed(split(count_shares, len(votes.count), votes.start, votes.count, votes.place,
-                         votes.share, votes.total, 0.4, groups.fine, groups.coarse,
-                         groups.shifted, len(votes.classes), *sizes))
+class Dense:
+    """
+    A map's votes and groups, ready for rounds.
 
+    Parameters
+    ----------
+    blocks : ndarray, core.memory.pools.BLOCK
+        The map's blocks.
+    taken : core.refine.snapshot.Snapshot
+    votes, groups : Votes, Groups
+        Of its rows.
+    cells : pair of core.geometry.groups.Cells
+        What the coarse groups count in.
+    settings : persem_ros.settings.config.Geometry
 
-def round_sums(votes: Votes, groups: Groups, sizes: list[int], tables: Tables) -> Sums:
-    """Return the sums of one round without neighbours: Q of every voxel, counted at once."""
-    return _summed(split(count_posteriors, len(votes.count), votes.start, votes.count,
-                         votes.place, votes.share, votes.total, votes.agreement, groups.fine,
-                         groups.coarse, groups.shifted, *tables, *sizes))
+    """
+
+    def __init__(self, blocks: Any, taken: Any, votes: Votes, groups: Groups,
+                 cells: tuple[Cells, Cells], settings: Any) -> None:
+        self.blocks, self.taken, self.votes = blocks, taken, votes
+        self.groups, self.cells, self.settings = groups, cells, settings
+        self._sizes = [SHAPES, *(known.number * KINDS + 1 for known in cells)]
+
+    @property
+    def row_bytes(self) -> int:
+        """Return the bytes that a voxel takes while it is labelled."""
+        return 16 * len(self.votes.classes)
+
+    def start(self, rho: float) -> Sums:
+        """Return the sums where Q is p."""
+        votes, groups = self.votes, self.groups
+        return _summed(split(
+            count_shares, len(votes.count), votes.start, votes.count, votes.place, votes.share,
+            votes.total, rho, groups.fine, groups.coarse, groups.shifted, len(votes.classes),
+            *self._sizes))
+
+    def round(self, parameters: Parameters) -> Sums:    # noqa: A003
+        """Return the sums of one round without neighbours: Q of every voxel, counted at once."""
+        votes, groups = self.votes, self.groups
+        return _summed(split(
+            count_posteriors, len(votes.count), votes.start, votes.count, votes.place,
+            votes.share, votes.total, votes.agreement, groups.fine, groups.coarse,
+            groups.shifted, *tables_of(parameters, self.settings), *self._sizes))
+
+    def estimate(self, sums: Sums, rho: float) -> Parameters:
+        """Return the parameters that follow from sums."""
+        return estimate(sums, len(self.votes.count), self.votes.classes, self.cells, rho,
+                        self.settings.shrink)
+
+    def label(self, parameters: Parameters, wanted: list[NDArray[np.int64]],
+              best: NDArray[np.int64], confidence: NDArray[np.float32]) -> None:
+        """
+        Label rows in rounds.
+
+        Parameters
+        ----------
+        parameters : Parameters
+        wanted : list of ndarray, int64
+            The rows of each round; the first holds all of them, the last those to be labelled.
+        best, confidence : ndarray, shape (n,)
+            Receive the place of the class and its probability.
+
+        """
+        votes, groups, taken = self.votes, self.groups, self.taken
+        tables = tables_of(parameters, self.settings)
+        where = np.full(len(taken.number), -1, np.int32)
+        where[wanted[0]] = np.arange(len(wanted[0]))
+        before, after = (np.zeros((len(wanted[0]), len(votes.classes))) for _ in range(2))
+        for number, rows in enumerate(wanted):
+            split(score, len(rows), rows, votes.start, votes.count, votes.place, votes.share,
+                  votes.total, groups.fine, groups.coarse, groups.shifted, *tables, self.blocks,
+                  taken.block, taken.cell, taken.row, where, before,
+                  float(self.settings.smoothing) if number else 0.0, after)
+            before, after = after, before
+        split(decide, len(wanted[-1]), wanted[-1], where, before, best, confidence)
 
 
 def _summed(parts: list[Any]) -> Sums:
@@ -151,6 +214,8 @@ def score(begin, end, wanted, start, count, place, share, total, fine, coarse, s
         Q = after[where[r]]
         Q[:] = 0.0
         for e in range(start[r], start[r] + count[r]):
+            if place[e] < 0:        # a class that the parameters do not know
+                continue
             p, of = share[e], log_theta[place[e]]
             for z in range(K):
                 Q[z] += p * of[z]
