@@ -27,7 +27,9 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosbags.typesys import get_typestore, Stores
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
-WIDTH, HEIGHT, FOCAL = 640, 480, 525.0
+SMALL, LARGE = (640, 480), (1280, 720)      # pixels
+WIDTH = 640             # to which the focal length belongs
+FOCAL = 525.0
 ALTITUDE = 20.0         # m above the waves' mean
 PERIOD = 50             # frames after which the ground repeats, not the place
 ADVANCE = 1.0           # m from frame to frame: half a million voxels after 60 s at 10 Hz
@@ -38,10 +40,18 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 START = 1_700_000_000_000_000_000
 
 
-def scene():
+def intrinsics(size):
+    """Return K of images of a size that see what those of 640 pixels width see."""
+    focal = FOCAL * size[0] / WIDTH
+    return np.array([[focal, 0, size[0] / 2], [0, focal, size[1] / 2], [0, 0, 1]])
+
+
+def scene(size):
     """Return PERIOD pairs of (depth (H, W) float32 in metres, labels (H, W) uint8)."""
-    u, v = np.meshgrid((np.arange(WIDTH) - WIDTH / 2) / FOCAL,
-                       (np.arange(HEIGHT) - HEIGHT / 2) / FOCAL)
+    width, height_px = size
+    K = intrinsics(size)
+    u, v = np.meshgrid((np.arange(width) - K[0, 2]) / K[0, 0],
+                       (np.arange(height_px) - K[1, 2]) / K[1, 1])
     noise = np.random.default_rng(1)
     wave = 2 * np.pi / (PERIOD * ADVANCE)
     images = []
@@ -52,7 +62,7 @@ def scene():
             height = 2 * np.sin(4 * wave * x) + np.sin(9 * wave * x) * np.cos(0.7 * y)
             depth = ALTITUDE - height
         labels = (1 + (height + 3.5) * 8 / 7).astype(np.uint8)
-        wrong = noise.random((HEIGHT // 16, WIDTH // 16)).repeat(16, 0).repeat(16, 1) < 0.15
+        wrong = noise.random((height_px // 16, width // 16)).repeat(16, 0).repeat(16, 1) < 0.15
         labels[wrong] = noise.integers(1, 9, np.count_nonzero(wrong))
         images.append((depth.astype(np.float32), labels))
     return images
@@ -71,25 +81,32 @@ class Flight:
     Parameters
     ----------
     node : rclpy.node.Node
+    size : (int, int)
+        Width and height of the images.
 
     """
 
-    def __init__(self, node):
+    def __init__(self, node, size):
         """Prepare all messages."""
         self._store = get_typestore(Stores.ROS2_JAZZY)
         self._make = MessageFactory(self._store.types)
-        K = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])
+        self._node = node
         pack = self._serialized
         self._images = [
             (pack(self._make.image(0, 'camera', depth, '32FC1'), 'sensor_msgs/msg/Image'),
              pack(self._make.image(0, 'camera', labels, 'mono8'), 'sensor_msgs/msg/Image'))
-            for depth, labels in scene()]
-        self._info = pack(self._make.camera_info(0, 'camera', WIDTH, HEIGHT, K),
+            for depth, labels in scene(size)]
+        self._info = pack(self._make.camera_info(0, 'camera', *size, intrinsics(size)),
                           'sensor_msgs/msg/CameraInfo')
         from geometry_msgs.msg import PoseStamped
         self._out = {topic: node.create_publisher(cls, topic, RELIABLE) for topic, cls in (
             ('/depth/image', Image), ('/semantic/image', Image),
             ('/depth/camera_info', CameraInfo), ('/pose', PoseStamped))}
+
+    def close(self):
+        """Take the publishers back."""
+        for out in self._out.values():
+            self._node.destroy_publisher(out)
 
     def wait(self):
         """Wait until the node listens to every topic."""
@@ -266,9 +283,9 @@ def percentile(values, share):
     return values[min(len(values) - 1, int(share * len(values)))] if values else float('nan')
 
 
-def measure(node, flight, seconds, rate):
+def measure(node, flight, seconds, rate, settings=()):
     """Play at a rate; return (row of the table, True where nothing was lost)."""
-    with Run(node, flight) as run:
+    with Run(node, flight, settings) as run:
         run.wait()
         sent = flight.play(seconds, rate)
         inside = run.value('latency p95 (ms)')
@@ -342,7 +359,7 @@ def spin(node):
 
 def tables(node, args):
     """Print what the arguments ask for."""
-    flight = Flight(node)
+    flight = Flight(node, SMALL)
     print(f'load before: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores\n')
     if args.soak:
         print('| s | frames | observations | voxels | map MB | RSS MB |\n' + '|---' * 6 + '|')
@@ -350,14 +367,19 @@ def tables(node, args):
         return
     start(node, flight)     # once for the file cache
     print(f'start to the first refined image: {start(node, flight):.1f} s\n')
-    print('| Hz | sent | refined | dropped | p50 ms | p95 ms | max ms | p95 in the node ms | '
+    print('| size | Hz | sent | refined | dropped | p50 ms | p95 ms | max ms | in the node ms | '
           'voxels | largest map MB | refinement s | RSS MB |\n'
-          '|---|---|---|---|---|---|---|---|---|---|---|---|')
+          '|---|---|---|---|---|---|---|---|---|---|---|---|---|')
     for rate, seconds in [(10, args.seconds), *((rate, 20) for rate in args.rates)]:
         row, clean = measure(node, flight, seconds, rate)
-        print(row, flush=True)
+        print(f'| 640 x 480 {row}', flush=True)
         if not clean and rate > 10:
             break
+    flight.close()
+    flight = Flight(node, LARGE)
+    for settings in ([], ['memory.stride:=2']):     # what a RealSense or a ZED sends
+        row, _ = measure(node, flight, 20, 30, settings)
+        print(f'| 1280 x 720{" stride 2" if settings else ""} {row}', flush=True)
 
 
 if __name__ == '__main__':

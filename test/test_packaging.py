@@ -14,6 +14,7 @@ from persem_ros import __version__
 from persem_ros.errors import missing, NEEDED
 import pytest
 import setuptools
+import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = ('persem_ros', 'config', 'launch', 'resource', 'setup.py', 'setup.cfg', 'package.xml',
@@ -75,6 +76,17 @@ def test_every_configuration_file_is_installed(setup_arguments):
              for path in (ROOT / folder).rglob('*.*')
              if path.is_file() and '__pycache__' not in path.parts}
     assert there <= installed
+
+
+def test_the_windows_of_rviz_are_open_where_their_displays_are_on():
+    layout = yaml.safe_load((ROOT / 'config' / 'persem.rviz').read_text())
+    state = bytes.fromhex(layout['Window Geometry']['QMainWindow State'])
+    images = {one['Name']: one['Enabled'] for one in layout['Visualization Manager']['Displays']
+              if one['Class'].endswith('/Image')}
+    assert set(images.values()) == {True, False}
+    for name, enabled in images.items():        # Qt: 0xfb, the name, 1 where it is shown
+        found = state.index(b'\xfb' + len(name * 2).to_bytes(4, 'big') + name.encode('utf-16-be'))
+        assert state[found + 5 + 2 * len(name)] == enabled, name
 
 
 def test_ros_dependencies_cover_the_imports_of_the_node(package_xml):

@@ -205,10 +205,6 @@ class LiveIntake(Intake):
         super().explain()
         self.examples[f'{DEPTH}: {QUEUE_FULL}'] = full_sentence(self.config.sync)
 
-    def left(self, station, stamp):
-        """Take note that a match had all that it needs."""
-        self._partners[station].paired += 1
-
     def _drop_reason(self, role, reason):
         self.dropped[reason if role == LABELS else f'{role}: {reason}'] += 1
 

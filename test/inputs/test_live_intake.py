@@ -136,30 +136,37 @@ def test_poses_in_another_frame_wait_for_a_chain_and_are_refused_without():
     assert live.frames and {frame.T_map_camera[1, 3] for frame in live.frames} == {100.0}
 
 
-def partners(depth, labels, sync, paired=0):
-    """Return the explanation for the last label image; all in ms: (stamp, arrival)."""
+def partners(depth, labels):
+    """Return a memory of partners and its last label image; all in ms: (stamp, arrival)."""
     seen = Partners(KEEP)
     for stamp, arrival in depth:
         seen.depth(stamp * S // 1000, arrival * S // 1000)
     for stamp, _ in labels:
         seen.labels(stamp * S // 1000)
-    seen.paired = paired
-    stamp, arrival = labels[-1]
-    return seen.explain(stamp * S // 1000, arrival * S // 1000, sync)
+    return seen, *(value * S // 1000 for value in labels[-1])
 
 
-@pytest.mark.parametrize('depth, labels, paired, words', [
-    ([], [(0, 0)], 0, 'no depth image has come at all'),
-    ([(0, 0), (100, 100)], [(0, 2500)], 0, 'sync.max_wait=4'),
-    ([(0, 3000)], [(0, 0)], 0, 'came 3.0 s after it'),
-    ([(0, 0), (100, 100)], [(140, 150)], 0, '40 ms earlier'),
-    ([(0, 0), (100, 100)], [(140, 150)], 0, 'sync.offset_labels=-0.040'),
-    ([(0, 0), (100, 100)], [(140, 150)], 0, 'sync.tolerance=0.048'),
-    ([(0, 0), (200, 200)], [(0, 0), (100, 100), (200, 200)], 2, 'those of others did')])
-def test_why_there_is_no_depth_image(depth, labels, paired, words):
-    if words == 'those of others did':
-        labels = [*labels[:1], labels[2], labels[1]]
-    assert words in partners(depth, labels, Sync(), paired)
+@pytest.mark.parametrize('depth, labels, words', [
+    ([], [(0, 0)], 'no depth image has come at all'),
+    ([(0, 0), (100, 100)], [(0, 2500)], 'sync.max_wait=4'),
+    ([(0, 3000)], [(0, 0)], 'came 3.0 s after it'),
+    ([(0, 0), (100, 100)], [(140, 150)], '40 ms earlier'),
+    ([(0, 0), (100, 100)], [(140, 150)], 'sync.offset_labels=-0.040'),
+    ([(0, 0), (100, 100)], [(140, 150)], 'sync.tolerance=0.048'),
+    ([(0, 0), (100, 100), (300, 300), (400, 400)], [(200, 200)],
+     'never came: the nearest is 100 ms away, they come every 100 ms')])
+def test_why_there_is_no_depth_image(depth, labels, words):
+    seen, stamp, arrival = partners(depth, labels)
+    assert words in seen.explain(stamp, arrival, Sync())
+
+
+@pytest.mark.parametrize('depth, labels, lost', [
+    (range(0, 3000, 100), range(40, 3040, 100), None),      # stamped later, nothing is lost
+    (range(0, 3000, 33), range(0, 3000, 330), None),        # more depth than labels
+    (range(0, 3000, 200), range(0, 3000, 100), (15, 30)),
+    ([], range(0, 3000, 100), (0, 30))])
+def test_whether_depth_was_lost(depth, labels, lost):
+    assert partners([(t, t) for t in depth], [(t, t) for t in labels])[0].lost() == lost
 
 
 def test_labels_that_come_late_name_the_setting_that_lets_depth_wait():

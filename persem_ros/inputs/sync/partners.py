@@ -7,7 +7,9 @@ import math
 from persem_ros.settings.config import Sync
 
 REMEMBERED = 2048       # stamps of a topic
-FEW = 0.95              # depth images per label image: fewer means that some were lost
+FEW = 0.9               # depth images per label image: fewer means that some were lost …
+MARGIN = 2              # … beyond those at the ends of the stretch that is compared
+HOLE = 0.6              # of the depth's period: the nearest image is never farther, unless lost
 
 
 class Partners:
@@ -29,7 +31,6 @@ class Partners:
         """Forget everything (the clock went back)."""
         self._depth: deque[tuple[int, int]] = deque(maxlen=REMEMBERED)  # (stamp, arrival)
         self._labels: deque[int] = deque(maxlen=REMEMBERED)
-        self.paired = 0
 
     def depth(self, stamp: int, now: int) -> None:
         """Remember a depth image."""
@@ -45,7 +46,8 @@ class Partners:
             return None
         first, last = min(self._labels), max(self._labels)
         depth = sum(first <= stamp <= last for stamp, _ in self._depth)
-        return (depth, len(self._labels)) if depth < FEW * len(self._labels) else None
+        return (depth, len(self._labels)) \
+            if depth + MARGIN < FEW * len(self._labels) else None
 
     def explain(self, stamp: int, arrival: int, sync: Sync) -> str:
         """
@@ -62,8 +64,10 @@ class Partners:
         distance, waited = (near[0] - stamp) / 1e9, (arrival - near[1]) / 1e9
         if abs(distance) <= sync.tolerance:
             return self._not_at_that_time(waited, sync)
-        if self.paired and self.lost():
-            return 'the depth image of its stamp never came, those of others did'
+        period = _median_gap([s for s, _ in by_stamp])
+        if period and abs(near[0] - stamp) > HOLE * period:
+            return (f'its depth image never came: the nearest is {1e3 * abs(distance):.0f} ms '
+                    f'away, they come every {period / 1e6:.0f} ms')
         return (f'the nearest depth image is {1e3 * abs(distance):.0f} ms '
                 f'{"later" if distance > 0 else "earlier"}, sync.tolerance is '
                 f'{1e3 * sync.tolerance:.0f} ms; labels keep the stamp of their image, or, where '
@@ -81,6 +85,12 @@ class Partners:
                     f'{sync.max_wait:g} s; --set sync.max_wait={math.ceil(-1.5 * waited)}')
         return ('its depth image had come and was taken by another label image or dropped because '
                 f'the queue was full (sync.queue_bytes is {sync.queue_bytes})')
+
+
+def _median_gap(stamps: list[int]) -> int:
+    """Return the median distance of ascending stamps, 0 where there are too few."""
+    gaps = sorted(b - a for a, b in zip(stamps, stamps[1:]))
+    return gaps[len(gaps) // 2] if gaps else 0
 
 
 def _up(seconds: float) -> str:
