@@ -104,6 +104,11 @@ def test_colours_overlay_source_and_legend(ros, tmp_path):
     texts = ros.client.listen(String, '/mapper/legend', LATCHED)
     # The node listens to colours as soon as it notices that somebody wants the overlay.
     player = Player(ros.client, path, HISTORY)
+    whole = player.messages
+    player.messages = [message for message in whole if message[0] == '/color/image']
+    player.play()       # first, so that every frame finds its own however the topics are served
+    until(lambda: mapper.values()['color/image messages'] == str(FRAMES), mapper.values)
+    player.messages = [message for message in whole if message[0] != '/color/image']
     player.play()
     mapper.frames(FRAMES)
     until(lambda: all(len(images) == FRAMES for images in found.values()), mapper.values)
