@@ -81,6 +81,34 @@ class Matching:
 
 
 @dataclass(frozen=True, eq=False)
+class Cloud:
+    """
+    The points of a labelled cloud as they came.
+
+    Attributes
+    ----------
+    points : structured ndarray, shape (h, w)
+        All fields of the message.
+    field : str
+        That with the label.
+
+    """
+
+    points: np.ndarray
+    field: str
+
+    def with_labels(self, labels: NDArray[np.int32]) -> np.ndarray:
+        """Return the same points, little-endian, with other labels (h, w); the rest stays."""
+        copy = self.points.astype(self.points.dtype.newbyteorder('<'))
+        kind = copy.dtype[self.field]
+        if kind.kind in 'iu':
+            limits = np.iinfo(kind)
+            labels = np.clip(labels, limits.min, limits.max)
+        copy[self.field] = labels
+        return copy
+
+
+@dataclass(frozen=True, eq=False)
 class Frame:
     """
     One label image with its depth and pose: what the pipeline eats.
@@ -113,8 +141,8 @@ class Frame:
     points : ndarray, shape (h, w, 3), float64, optional
         Metres in the sensor's frame, for a labelled cloud: depth is then the distance, and the
         camera's rays mean nothing. A cloud without rows has h = 1, and no flicker.
-    cloud : object, optional
-        The message that points and labels came from, which refined clouds keep.
+    cloud : Cloud, optional
+        Where points and labels came from, which refined clouds keep.
     truth : ndarray, shape (H, W), int32, optional
         True ids on the labels' grid.
     color : ndarray, shape (., ., 3), uint8, optional
@@ -136,7 +164,7 @@ class Frame:
     matching: Matching | None = None
     weights: np.ndarray | None = None
     points: np.ndarray | None = None
-    cloud: object = None
+    cloud: Cloud | None = None
     truth: np.ndarray | None = None
     color: np.ndarray | None = None
     T_body_camera: np.ndarray | None = None

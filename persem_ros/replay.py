@@ -180,7 +180,8 @@ class Replay:
         """Count a rendered frame and show it to the watchers."""
         with self.watch('measure'):
             self.metrics.update(rendering.valid, rendering.images, rendering.truth,
-                                None if codes is None else codes[rendering.voxels], frame.sensor)
+                                None if codes is None else codes[rendering.voxels],
+                                frame.sensor if frame.has_grid else None)
         with self.watch('watch'):
             for watcher in self.watchers:
                 watcher.frame(self, frame, rendering)

@@ -1,25 +1,23 @@
 """Messages of one instant to a Frame; the last step of the way in, live and in a replay."""
 
-from collections import deque
 from collections.abc import Callable
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.frames import Camera, Frame, Matching, same_aspect
+from persem_ros.frames import Camera, Cloud, Frame, Matching, same_aspect
 from persem_ros.inputs import fit
-from persem_ros.inputs.decode import messages
-from persem_ros.inputs.decode.camera import camera, check, content
+from persem_ros.inputs.decode import clouds, messages
 from persem_ros.inputs.decode.labels import LabelReader
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.names import renamed
+from persem_ros.inputs.registration import depth_of_cloud, registered
 from persem_ros.inputs.sync.pairing import (
     COLOR, CONFIDENCE, DEPTH, DEPTH_CONFIDENCE, LABELS, TRUTH)
+from persem_ros.inputs.views import CAMERAS_KEPT, Views
 from persem_ros.settings.config import Config
 from persem_ros.settings.legend import Legend
 
-CAMERAS_KEPT = 8        # a zoom lens must not fill the memory
-CHANGES_KEPT = 64
 NamesAt = Callable[[int, int], tuple[Legend, NDArray[np.int32] | None]]
 
 
@@ -30,7 +28,7 @@ class Assembler:
     Parameters
     ----------
     config : persem_ros.settings.config.Config, optional
-        The settings camera.*, depth.* and labels.*.
+        The settings camera.*, depth.*, labels.* and points.*.
     sensor : str
         The camera's name, '' where there is only one.
     names_at : callable
@@ -41,28 +39,26 @@ class Assembler:
     def __init__(self, config: Config | None = None, sensor: str = '',
                  names_at: NamesAt = lambda stamp, tables: (Legend(), None)) -> None:
         """Start without a camera info."""
-        self._infos = deque(maxlen=CHANGES_KEPT)    # (stamp, content, info) at each change
         config = config or Config()
-        self._rectified = config.camera.rectified
-        self._depth, self._fit = config.depth, config.labels.fit
+        self._views, self._label_views = (Views(config.camera.rectified) for _ in range(2))
+        self._depth, self._points, self._fit = config.depth, config.points, config.labels.fit
+        self._sensor = sensor
+        self._matchings: dict = {}
         self._names_at = names_at
         self.reader, self._truth_reader = LabelReader(config.labels), LabelReader(config.labels)
-        self._sensor = sensor
-        self._cameras: dict = {}
-        self._matchings: dict = {}
 
     @property
     def frame_id(self):
         """Return the frame of the first camera info, None before it has come."""
-        return messages.frame_id(self._infos[0][2]) if self._infos else None
+        return self._views.frame_id
 
     def add_info(self, info):
         """Use *info* for images from its stamp on; refuse (BadMessage) an unusable one."""
-        key = content(info)
-        if self._infos and self._infos[-1][1] == key:
-            return
-        check(info, self._rectified)
-        self._infos.append((messages.stamp_ns(info), key, info))
+        self._views.add(info)
+
+    def add_labels_info(self, info):
+        """Use *info*, of the labels' own camera, in the same way."""
+        self._label_views.add(info)
 
     def depth(self, msg) -> NDArray[np.float64]:
         """Return the depth image of a message in metres (H, W), as depth.scale has it."""
@@ -92,18 +88,17 @@ class Assembler:
             Where labels, depth or camera info cannot be used.
 
         """
-        label_msg, depth_msg = decoded[LABELS], decoded[DEPTH]
+        label_msg = decoded[LABELS]
         legend, new = self._names_at(match.stamp, getattr(match.items.get(LABELS), 'tables', 0))
 
         def ids(msg, reader=self.reader):
             found, encoding = reader(msg, legend)
             return renamed(found, new), encoding
 
+        if is_cloud(label_msg):
+            return _named(LABELS, lambda msg: self._cloud(match, msg, new), label_msg), []
         labels, encoding = _named(LABELS, ids, label_msg)
-        depth = _named(DEPTH, self.depth, depth_msg)
-        matching = self._matching(labels.shape, depth.shape)
-        view = self._seen(depth_msg, depth)
-        self._distrust(depth, decoded.get(DEPTH_CONFIDENCE))
+        depth, view, matching = self._placed(match, decoded, labels.shape)
         companions, faults = {}, []
         truth_of = partial(ids, reader=self._truth_reader)
         for kind, read in ((TRUTH, _truth_like(labels, truth_of)), (COLOR, messages.color)):
@@ -116,6 +111,43 @@ class Assembler:
                      messages.frame_id(label_msg), _wide(encoding, new), matching=matching,
                      weights=_weights(labels, decoded.get(CONFIDENCE)),
                      T_body_camera=match.T_body_camera, **companions), faults
+
+    def _placed(self, match, decoded, shape):
+        """Return depth image, camera and Matching for labels of a *shape* (H, W)."""
+        label_msg, depth_msg, T = decoded[LABELS], decoded[DEPTH], match.T_labels_depth
+        if is_cloud(depth_msg):
+            view = self._views.of(label_msg, *shape[::-1])
+            points = _named(DEPTH, lambda msg: clouds.positions(clouds.structured(msg)), depth_msg)
+            return depth_of_cloud(points.reshape(-1, 3), view, np.eye(4) if T is None else T,
+                                  self._points.splat), view.camera, None
+        depth = _named(DEPTH, self.depth, depth_msg)
+        if T is None:
+            matching = self._matching(shape, depth.shape)
+        view = self._seen(depth_msg, depth)
+        self._distrust(depth, decoded.get(DEPTH_CONFIDENCE))
+        if T is not None:
+            matching = registered(depth, self._views.of(depth_msg, *depth.shape[::-1]),
+                                  self._label_view(label_msg, depth_msg, T, shape), T)
+        return depth, view, matching
+
+    def _label_view(self, label_msg, depth_msg, T, shape):
+        """Return the View of labels of another camera than the depth's."""
+        if self._label_views.frame_id is None:
+            frames = messages.frame_id(label_msg), messages.frame_id(depth_msg)
+            raise BadMessage('labels of another camera', other_camera_sentence(*frames, T))
+        return self._label_views.of(label_msg, *shape[::-1])
+
+    def _cloud(self, match, msg, new):
+        """Return the Frame of a labelled cloud."""
+        cloud = clouds.structured(msg)
+        points = clouds.positions(cloud)
+        labels = renamed(clouds.labels(cloud, self._points.label_field), new)
+        distance = np.linalg.norm(points, axis=2)
+        camera = Camera(np.zeros((*labels.shape, 2)), np.eye(3), messages.frame_id(msg))
+        return Frame(match.stamp, labels, distance, camera, match.T_map_camera, self._sensor,
+                     messages.frame_id(msg), 'mono16', points=points,
+                     cloud=Cloud(cloud, self._points.label_field),
+                     T_body_camera=match.T_body_camera)
 
     def _matching(self, labels: tuple[int, int], depth: tuple[int, int]) -> Matching | None:
         """Return how the pixels of label and depth images of two shapes belong together."""
@@ -146,37 +178,26 @@ class Assembler:
 
     def _seen(self, depth_msg, depth: NDArray[np.float64]) -> Camera:
         """Return the Camera of a depth image and make what it holds depth along the axis."""
-        view, blind, lengths = self._camera(depth_msg, *depth.shape[::-1])
-        if blind is not None:
-            depth[blind] = np.nan
-        if lengths is not None:
-            depth /= lengths
-        return view
+        view = self._views.of(depth_msg, *depth.shape[::-1])
+        if view.blind is not None:
+            depth[view.blind] = np.nan
+        if self._depth.kind == 'ray':
+            depth /= view.lengths
+        return view.camera
 
-    def _camera(self, depth_msg, width, height):
-        """
-        Return the Camera of a depth image, the mask of pixels that it cannot see, rays' lengths.
 
-        The lengths, of rays with z = 1, are None where depth is z already.
+def is_cloud(msg) -> bool:
+    """Return whether a message is a sensor_msgs/PointCloud2."""
+    return hasattr(msg, 'point_step')
 
-        """
-        if not self._infos:
-            raise BadMessage('no camera info', 'no camera info came before the first frame')
-        stamp = messages.stamp_ns(depth_msg)
-        _, content_key, info = next((entry for entry in reversed(self._infos)
-                                     if entry[0] <= stamp), self._infos[0])
-        frame_id = messages.frame_id(depth_msg)
-        key = content_key, width, height, frame_id
-        if key not in self._cameras:
-            if len(self._cameras) >= CAMERAS_KEPT:
-                self._cameras.pop(next(iter(self._cameras)))
-            view = camera(info, width, height, self._rectified, frame_id)
-            blind = np.isnan(view.rays[..., 0])
-            view.rays[blind] = 0.0
-            lengths = np.sqrt(1.0 + (view.rays ** 2).sum(-1)) if self._depth.kind == 'ray' \
-                else None
-            self._cameras[key] = view, blind if blind.any() else None, lengths
-        return self._cameras[key]
+
+def other_camera_sentence(labels: str, depth: str, T_labels_depth: NDArray[np.float64]) -> str:
+    """Return the sentence that says what labels in another frame than the depth need."""
+    apart = np.linalg.norm(T_labels_depth[:3, 3])
+    turn = np.degrees(np.arccos(np.clip((np.trace(T_labels_depth[:3, :3]) - 1) / 2, -1, 1)))
+    return (f'the labels are in the frame {labels!r}, the depth is in {depth!r}, {apart:.3g} m '
+            f'and {turn:.2g} degrees apart by TF: each depth pixel has to be found in the label '
+            'image, for which the intrinsics of that are needed: --set topics.labels_info=TOPIC')
 
 
 def resampled(labels, shape):

@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from persem_ros.core.transforms import inverse
 from persem_ros.inputs.assemble import Assembler
-from persem_ros.inputs.decode import legends, messages
+from persem_ros.inputs.decode import clouds, legends, messages
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.names import Names
 from persem_ros.inputs.sync.pairing import (
@@ -20,7 +21,10 @@ ORDER = {TRUTH: 0, COLOR: 1, CONFIDENCE: 2, DEPTH_CONFIDENCE: 3, DEPTH: 4, LABEL
 TOO_FAR = 'position too far away'
 VOXELS = 1 << 30        # from map.origin, within which a camera can be: voxels have 32 bits
 INFO, POSE, TF, LEGEND = 'camera_info', 'pose', 'tf', 'legend'
+LABELS_INFO = 'labels_info'
 NO_INFO = 'no camera info'
+NO_TIE = 'no transform between cloud and labels'
+SAME = 1e-6         # between two matrices of one place, metres
 QUEUE_BYTES = 256 << 20
 READY_MAX = 64          # matches of some cameras that wait for those of another
 
@@ -210,6 +214,8 @@ class Intake:
             return
         if role == INFO:
             taker.assembler.add_info(msg)
+        elif role == LABELS_INFO:
+            taker.assembler.add_labels_info(msg)
         elif role == POSE:
             found = messages.pose(msg)
             if not taker.add(*found):
@@ -226,24 +232,62 @@ class Intake:
 
     def _lookup(self, poses, assembler, match):
         """Return the pose of a match, once its camera is known."""
+        labels, depth = match.items[LABELS], match.items.get(DEPTH)
         info_frame = assembler.frame_id
+        if depth is None:       # a labelled cloud
+            return self._found(poses, match.stamp, labels.frame_id)
         if info_frame is None:
             return Lookup(None, False, NO_INFO)
-        depth, labels = match.items[DEPTH], match.items[LABELS]
-        frame_id = depth.frame_id or labels.frame_id or info_frame
-        found = poses.lookup(match.stamp, frame_id)
+        lidar = depth.msgtype == clouds.TYPE
+        frame_id = (labels if lidar else depth).frame_id or labels.frame_id or info_frame
+        found = self._found(poses, match.stamp, frame_id)
+        other = (depth if lidar else labels).frame_id or frame_id
+        if found.T is None or other == frame_id and not lidar:
+            return found
+        return self._tied(poses, match, found, frame_id, other, lidar)
+
+    def _found(self, poses, stamp, frame_id):
+        """Return the pose of a frame; where there is none, remember why."""
+        found = poses.lookup(stamp, frame_id)
         if found.reason in (NO_MOUNT, UNSAID):
             self.no_mount(found.reason, poses.mount_sentence(frame_id))
         elif found.reason == OTHER_FRAME:
             self.examples[OTHER_FRAME] = poses.other_frame_sentence()
         elif found.T is None:
-            self._missed[found.reason] = poses, match.stamp, frame_id
+            self._missed[found.reason] = poses, stamp, frame_id
         elif not self._within(found.T):
             self.examples.setdefault(TOO_FAR, (
                 f'position {found.T[:3, 3].tolist()} m is too far away for voxels of '
                 f'{self.config.memory.voxel_size} m: expected coordinates near map.origin'))
             return Lookup(None, True, TOO_FAR)
         return found
+
+    def _tied(self, poses, match, found, frame_id, other, lidar):
+        """
+        Note how the depth of a match is seen by the labels' camera; return the depth's pose.
+
+        *found* is the pose of *frame_id* at the stamp of the match, *other* the frame that TF
+        has to tie to it: the LiDAR's, or that of labels whose depth is another camera's.
+
+        """
+        tie = poses.tie(frame_id, other, match.items[DEPTH].stamp if lidar else match.stamp)
+        if tie.T is None and lidar:
+            self.examples[NO_TIE] = (f'the cloud is in the frame {other!r}, the labels are in '
+                                     f'{frame_id!r}, and /tf_static does not connect them')
+            return Lookup(None, tie.final, NO_TIE)
+        if tie.T is None:
+            return found        # nothing says that they are two cameras
+        then = self._found(poses, match.items[DEPTH].stamp, frame_id)
+        if then.T is None:
+            return then
+        if lidar:
+            match.T_labels_depth = inverse(found.T) @ then.T @ tie.T
+            return found
+        T = inverse(found.T @ tie.T) @ then.T
+        if np.abs(T - np.eye(4)).max() <= SAME:
+            return found
+        match.T_labels_depth = T
+        return then
 
     def _within(self, T):
         """Return whether a pose (4, 4) is where voxels can be numbered."""

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from persem_ros.inputs.assemble import is_cloud
 from persem_ros.inputs.decode import messages
 from persem_ros.inputs.decode.camera import check as check_info
 from persem_ros.inputs.decode.messages import BadMessage
@@ -20,7 +21,10 @@ def check(sample: Sample) -> Iterator[Finding]:
     """Yield what is wrong with the first depth images and camera infos."""
     rectified = sample.config.camera.rectified
     for view in sample.views:
-        yield from _unreadable(view, 'depth', 'depth images', messages.depth)
+        if 'camera_info' not in view.topics:
+            continue            # of a labelled cloud
+        if not is_cloud_of(view):
+            yield from _unreadable(view, 'depth', 'depth images', messages.depth)
         yield from _unreadable(view, 'camera_info', 'camera infos',
                                lambda msg: check_info(msg, rectified))
 
@@ -28,6 +32,8 @@ def check(sample: Sample) -> Iterator[Finding]:
 def check_fit(sample: Sample) -> Iterator[Finding]:
     """Yield what looks wrong with the depth where frames with poses see one place."""
     for view in sample.views:
+        if 'depth' not in view.topics or is_cloud_of(view):
+            continue
         stamps = _spread(np.unique(view.stamps['depth']))
         found = {stamp: view.poses.lookup(stamp, view.image_frame).T for stamp in stamps}
         placed = [stamp for stamp in stamps if found[stamp] is not None]
@@ -35,6 +41,11 @@ def check_fit(sample: Sample) -> Iterator[Finding]:
         seen = [Seen(*shots[stamp], found[stamp]) for stamp in placed if stamp in shots]
         for sentence in about_depth(seen, sample.config, _unit(view, sample.config.depth.scale)):
             yield Finding(WARN, sentence)
+
+
+def is_cloud_of(view: View) -> bool:
+    """Return whether a camera's depth comes from a LiDAR."""
+    return any(map(is_cloud, view.firsts.get('depth', ())))
 
 
 def _spread(stamps: Stamps) -> list[int]:

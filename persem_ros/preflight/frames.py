@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from persem_ros.preflight.depth import is_cloud_of
 from persem_ros.preflight.findings import Finding, NOTE, REFUSE, Remedy, WARN
 from persem_ros.preflight.sample import Sample, View
 
@@ -40,7 +41,7 @@ def _robot(view: View, sample: Sample) -> Iterator[Finding]:
 def _info(view: View, sample: Sample) -> Iterator[Finding]:
     """Yield what to do about a camera info of another camera than the depth's."""
     info, depth = view.frame('camera_info'), view.frame('depth')
-    if not info or not depth or info == depth:
+    if not info or not depth or info == depth or is_cloud_of(view):
         return
     topic, setting = view.topics['camera_info'], view.setting('camera_info')
     said = f'the camera info on {topic} is of {info!r}, the depth images are of {depth!r}'
@@ -59,17 +60,12 @@ def _info(view: View, sample: Sample) -> Iterator[Finding]:
 
 
 def _labels(view: View) -> Iterator[Finding]:
-    """Yield what to do about labels of another camera than the depth's."""
+    """Yield labels of another frame than the depth's, untied; labels.py has the tied ones."""
     labels, depth = view.frame('labels'), view.frame('depth')
     if not labels or not depth or labels == depth:
         return
     said = f'the label images are of {labels!r}, the depth images of {depth!r}'
-    if _apart(view, labels, depth):
-        yield Finding(REFUSE, f'{said}, two cameras that /tf_static places apart: labels would '
-                              'fall on what is beside; register the depth to the label camera '
-                              f'(aligned_depth_to_color) and name its topic',
-                      (Remedy({view.setting('depth'): 'TOPIC'}),))
-    elif not view.poses.tree.connected(labels, depth):
+    if not view.poses.tree.connected(labels, depth) and not is_cloud_of(view):
         yield Finding(WARN, f'{said}, and no transform connects them: taken for one camera')
 
 

@@ -14,7 +14,7 @@ from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.recording import latched
 from persem_ros.inputs.recording.source import Head, Source, TopicInfo
 from persem_ros.inputs.recording.stamps import stamp_of
-from persem_ros.inputs.recording.topics import Choice, first_messages, INFO
+from persem_ros.inputs.recording.topics import Choice, first_messages, INFO, POINTS
 from persem_ros.inputs.sync.poses import PoseBuffer
 from persem_ros.preflight.sample import Sample, Shot, View
 from persem_ros.settings.config import Config
@@ -53,7 +53,7 @@ def sample(source: Source, choice: Choice, config: Config) -> Sample:
             poses.add_static(*transform)
         heads: dict[str, list[tuple[int, Head]]] = {role: [] for role in (*IMAGES, POSE)}
         found[name] = heads, poses
-        for role in IMAGES:
+        for role in [role for role in IMAGES if role in chosen]:
             roles.setdefault(chosen[role].name, []).append((HEADS, heads[role]))
         tf = choice.tf_of(name)
         if POSE in chosen:
@@ -71,11 +71,12 @@ def sample(source: Source, choice: Choice, config: Config) -> Sample:
 
 def _moves(source: Source, chosen: Mapping[str, TopicInfo], statics: PoseBuffer) -> bool:
     """Return whether static transforms do not lead from a camera's poses to its images."""
-    firsts = first_messages(source, {chosen[POSE].name, chosen['depth'].name})
+    image = chosen.get('depth', chosen['labels']).name
+    firsts = first_messages(source, {chosen[POSE].name, image})
     if len(firsts) < 2:
         return False
     child = getattr(firsts[chosen[POSE].name], 'child_frame_id', '').lstrip('/')
-    frame = messages.frame_id(firsts[chosen['depth'].name])
+    frame = messages.frame_id(firsts[image])
     child = statics.child or child
     return not child or child != frame and not statics.tree.connected(child, frame, False)
 
@@ -119,6 +120,8 @@ def _view(source: Source, config: Config, name: str, chosen: Mapping[str, TopicI
 
     def shots(stamps: Iterable[int]) -> dict[int, Shot]:
         wanted = set(stamps)
+        if 'depth' not in chosen or chosen['depth'].msgtype == POINTS:
+            return {}
         return _shots(source, config, firsts['camera_info'],
                       [row for row in found['depth'] if row[0] in wanted])
 

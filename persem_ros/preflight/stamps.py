@@ -108,6 +108,8 @@ def _poses(view: View, sample: Sample) -> Iterator[Finding]:
 def paired(view: View, sample: Sample) -> Stamps:
     """Return the stamps of the label images that find depth, ns, ascending."""
     labels = np.unique(view.stamps['labels']) + round(sample.config.sync.offset_labels * 1e9)
+    if 'depth' not in view.topics:      # labelled clouds need none
+        return labels
     if not len(labels) or not len(view.stamps['depth']):
         return labels[:0]
     tolerance = round(sample.config.sync.tolerance * 1e9)

@@ -1,7 +1,10 @@
 """Camera infos to cameras: what every pixel looks at, spec section 1."""
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from persem_ros.frames import Camera, pinhole, same_aspect
 from persem_ros.inputs.decode.messages import BadMessage
@@ -9,6 +12,7 @@ from persem_ros.inputs.decode.messages import BadMessage
 MODELS = ('plumb_bob', 'rational_polynomial', 'equidistant')
 LENGTHS = (4, 5, 8, 12, 14)     # of OpenCV's distortion vectors
 MAX_ERROR = 0.1             # pixels between a ray projected again and its pixel
+FOLDED = 3.0                # pixels, on the undistorted image, between a point and its ray
 CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
 
 
@@ -47,6 +51,41 @@ def camera(info, width, height, rectified=False, frame_id=''):
     pixels = np.stack([u, v], -1).reshape(-1, 1, 2)
     rays = _undistorted(pixels, K, info.distortion_model, D)
     return Camera(rays.reshape(height, width, 2), K, frame_id)
+
+
+def projection(info, width: int, height: int, rectified: bool,
+               view: Camera) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    """
+    Return the function of points (N, 3) in a camera's frame to its pixels (N, 2): column, row.
+
+    NaN for points that are not in front of it, and for those that a distortion model far outside
+    of what it was fitted to would fold into the image: there *view*'s rays do not meet them.
+
+    """
+    K, D, model = view.K, _distortion(info, rectified), info.distortion_model
+
+    def project(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        with np.errstate(divide='ignore', invalid='ignore'):
+            rays = np.where(points[:, 2:] > 0.0, points[:, :2] / points[:, 2:], np.nan)
+        if not D.any() or not len(points):
+            return rays * (K[0, 0], K[1, 1]) + (K[0, 2], K[1, 2])
+        known = np.isfinite(rays).all(1)
+        pixels = np.full((len(points), 2), np.nan)
+        if not known.any():
+            return pixels
+        ahead = rays[known].reshape(-1, 1, 2)
+        if model == 'equidistant':
+            found = cv2.fisheye.distortPoints(ahead, K, D)
+        else:
+            found = cv2.projectPoints(np.dstack([ahead, np.ones(ahead.shape[:2])]), np.zeros(3),
+                                      np.zeros(3), K, D)[0]
+        pixels[known] = found.reshape(-1, 2)
+        inside = known & (pixels > -0.5).all(1) & (pixels < (width - 0.5, height - 0.5)).all(1)
+        u, v = np.rint(pixels[inside]).astype(int).T
+        off = np.abs(view.rays[v, u] - rays[inside]) * (K[0, 0], K[1, 1])
+        pixels[np.flatnonzero(inside)[(off > FOLDED).any(1)]] = np.nan
+        return pixels
+    return project
 
 
 def check(info, rectified=False):

@@ -9,14 +9,16 @@ import sys
 import numpy as np
 from persem_ros.errors import PersemError
 from persem_ros.inputs import names
-from persem_ros.inputs.intake import INFO, Intake, LEGEND, ORDER, POSE, TF
+from persem_ros.inputs.intake import (
+    INFO, Intake, LABELS_INFO, LEGEND, ORDER, POSE, TF)
 from persem_ros.inputs.sync.pairing import (
     COLOR, CONFIDENCE, DEPTH, DEPTH_CONFIDENCE, LABELS, NO_DEPTH, TRUTH)
 from persem_ros.inputs.sync.poses import PoseBuffer
 
 AHEAD = 30.0            # s that poses are read before the images: what one needs is there
 POSES_KEPT = 300.0      # s
-RANKS = {INFO: -1, POSE: -1, TF: -1, **ORDER}
+FIRST = {INFO, LABELS_INFO, POSE, TF, LEGEND}       # read whatever the bounds of the images are
+RANKS = {**dict.fromkeys(FIRST, -1), **ORDER}
 
 
 class Reading(Intake):
@@ -103,7 +105,7 @@ class Reading(Intake):
                 shifts[topic] += self.offset
         ranks = {topic: max(RANKS[role] for role in roles) for topic, roles in kinds.items()}
         first, last = self._bounds
-        images = [topic for topic, roles in kinds.items() if not roles & {POSE, TF, INFO}]
+        images = [topic for topic, roles in kinds.items() if not roles & FIRST]
         return self._recording.index.ordered(
             shifts, ranks, None if first is None else first - self._tolerance,
             None if last is None else last + self._tolerance, images)
@@ -123,8 +125,10 @@ class Reading(Intake):
         station = self.add_camera(name, self._pose_buffer(name, chosen), companions,
                                   needed)
         station.sync.on_drop = partial(self._note_miss, station)
-        station.assembler.add_info(self._recording.infos[chosen[INFO].name])
-        for kind in (LABELS, *needed, *companions, INFO):
+        if INFO in chosen:
+            station.assembler.add_info(self._recording.infos[chosen[INFO].name])
+        infos = [kind for kind in (INFO, LABELS_INFO) if kind in chosen]
+        for kind in (LABELS, *needed, *companions, *infos):
             self._roles.setdefault(chosen[kind].name, []).append((kind, station))
 
     def _add_names(self, config):

@@ -130,7 +130,7 @@ class Recording:
         """Return the Index of everything that a reading may use, made when it is first asked."""
         if self._index is None:
             used = {topic for chosen in self.topics.values() for topic in chosen.values()}
-            used |= set(self.choice.tf)
+            used |= {*self.choice.tf, *self.choice.legends}
             self._index = Index(self.source, {topic.name for topic in used})
             there = self._index.counts()
             for topic in sorted(used):
@@ -233,8 +233,11 @@ class Recording:
 
     def _read_infos(self):
         """Return the first camera info of each topic, refusing those that no image can use."""
-        names = {chosen['camera_info'].name for chosen in self.topics.values()}
+        names = {chosen['camera_info'].name for chosen in self.topics.values()
+                 if 'camera_info' in chosen}
         infos = {}
+        if not names:
+            return infos
         for name, kind, _, data in self.source.messages(names):
             if name in infos:
                 continue

@@ -1,10 +1,11 @@
 """Which topics of a recording are used; where one is missing, what to type instead."""
 
+from contextlib import suppress
 from itertools import islice
 from shlex import quote
 
 from persem_ros.errors import PersemError
-from persem_ros.inputs.decode import legends, messages
+from persem_ros.inputs.decode import clouds, legends, messages
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.settings.config import Topics, topics_of
 
@@ -19,7 +20,9 @@ POSES = {'PoseStamped': 'geometry_msgs/msg/PoseStamped',
 NEEDED = {'labels': 'label images', 'depth': 'depth images', 'camera_info': 'camera infos',
           'pose': 'poses'}
 OPTIONAL = {'truth': 'true label images', 'color': 'colour images',
-            'confidence': 'confidence images', 'depth_confidence': 'depth confidence images'}
+            'confidence': 'confidence images', 'depth_confidence': 'depth confidence images',
+            'points': 'point clouds', 'labels_info': "camera infos of the labels' own camera"}
+LABELS_INFO, POINTS = 'labels_info', clouds.TYPE
 TRANSPORTS = ('compressed', 'compressedDepth')
 SHOWN = 6           # candidates in one refusal
 TRIED = 10          # messages of a topic that are decoded to find a good one
@@ -118,21 +121,23 @@ class Choice:
         topics = topics_of(config, camera)
         prefix = f'cameras.{camera}.topics' if camera else 'topics'
         chosen, missing = {}, {}
-        for kind in (*NEEDED, *OPTIONAL):
-            wanted = getattr(topics, kind)
-            if not wanted:
+        roles = roles_of(config, topics)
+        for kind, role in roles.items():
+            wanted = getattr(topics, role)
+            if kind == LABELS_INFO or not wanted and kind not in NEEDED:
                 continue
             if kind == 'pose' and config.pose.source == 'tf':
                 if not self.tf:
                     missing[kind] = 'no /tf, which pose.source=tf needs'
                 continue
             try:
-                chosen[kind] = self._find(kind, wanted)
+                chosen[kind] = self._labels_info(wanted, topics, chosen.get('labels')) \
+                    if role == LABELS_INFO else self._find(role, wanted)
             except LookupError as error:
                 # The default of an optional topic may be missing; a name that was typed may not.
-                usual = getattr(Topics(), kind)
+                usual = getattr(Topics(), role)
                 if kind in NEEDED or not usual or not wanted.endswith(usual):
-                    missing[kind] = f'no {(NEEDED | OPTIONAL)[kind]} on {wanted!r}{error}'
+                    missing[role] = f'no {(NEEDED | OPTIONAL)[role]} on {wanted!r}{error}'
         # What is offered depends on what the other kinds have, so it comes last.
         for kind, problem in missing.items():
             extra = ''
@@ -143,7 +148,47 @@ class Choice:
             flags = self._flags((kind,), prefix, tuple(chosen.values()), extra)
             self.problems.append(problem + flags)
         self._refuse_twice(chosen, prefix)
+        if LABELS_INFO in roles and not missing:
+            self._other_camera(topics, chosen)
         return chosen
+
+    def _other_camera(self, topics, chosen):
+        """Add the labels' own camera info where the labels are in another frame than the depth."""
+        names = {chosen[kind].name for kind in ('labels', 'depth')}
+        frames = {name: messages.frame_id(msg)
+                  for name, msg in first_messages(self._source, names).items()}
+        labels, depth = (frames.get(chosen[kind].name, '') for kind in ('labels', 'depth'))
+        if labels and depth and labels != depth:
+            with suppress(LookupError):
+                chosen[LABELS_INFO] = self._labels_info(topics.labels_info, topics,
+                                                        chosen['labels'])
+
+    def _labels_info(self, wanted, topics, labels):
+        """
+        Return the topic with the intrinsics of the label images; LookupError where none is.
+
+        The one that is named, or camera_info beside or above the label topic, or that of another
+        topic in the labels' frame: a segmenter seldom publishes the info of its input again.
+
+        """
+        with suppress(LookupError):
+            return self._find(LABELS_INFO, wanted)
+        usual = Topics().labels_info
+        if labels is None or wanted != usual and not wanted.endswith(f'/{usual}'):
+            return self._find(LABELS_INFO, wanted)      # a name that was typed
+        infos = {t.name: t for t in self._topics if t.msgtype == INFO and t.count}
+        above = labels.name
+        while '/' in above:
+            for name in (f'{above}/camera_info', f'{above.rpartition("/")[0]}/camera_info'):
+                if name in infos and not name.endswith(topics.camera_info):
+                    return infos[name]
+            above = above.rpartition('/')[0]
+        firsts = first_messages(self._source, {labels.name, *infos})
+        frame = messages.frame_id(firsts[labels.name]) if labels.name in firsts else ''
+        for name, info in infos.items():
+            if frame and name in firsts and messages.frame_id(firsts[name]) == frame:
+                return info
+        return self._find(LABELS_INFO, wanted)
 
     def _refuse_twice(self, chosen, prefix):
         """Note the topics that one camera uses for two kinds of images."""
@@ -158,7 +203,9 @@ class Choice:
     def _types(self, kind):
         if kind == 'pose':
             return self._pose_types
-        return (INFO,) if kind == 'camera_info' else (IMAGE, COMPRESSED)
+        if kind == 'points':
+            return (POINTS,)
+        return (INFO,) if kind in ('camera_info', LABELS_INFO) else (IMAGE, COMPRESSED)
 
     def _find(self, kind, wanted):
         """Return the topic for *wanted*; LookupError with what stands in the way."""
@@ -192,6 +239,23 @@ class Choice:
         flags = flags + [extra] if extra else flags
         other = 'other ' if any(map(self.candidates, kinds)) else ''
         return f' ({" or ".join(flags)})' if flags else f' (no {other}topic of that kind is there)'
+
+
+def roles_of(config, topics):
+    """
+    Return what a camera needs or may have: {kind: the setting topics.* that says where}.
+
+    A labelled cloud takes the place of the label images and needs no depth; with
+    depth.source=cloud that of the depth images, seen by the camera of the labels.
+
+    """
+    if topics.points and config.depth.source == 'image':
+        return {'labels': 'points', 'pose': 'pose'}
+    roles = {kind: kind for kind in (*NEEDED, *OPTIONAL) if kind not in ('points', LABELS_INFO)}
+    if config.depth.source == 'cloud':
+        del roles['depth_confidence']
+        return {**roles, 'depth': 'points', 'camera_info': LABELS_INFO}
+    return {**roles, LABELS_INFO: LABELS_INFO}
 
 
 def _legends(topics, wanted):

@@ -37,6 +37,9 @@ class Match:
         The pose, None where no poses are asked for.
     T_body_camera : ndarray, shape (4, 4), float64, or None
         The camera's mount, where it is known (inputs.sync.poses.Lookup).
+    T_labels_depth : ndarray, shape (4, 4), float64, or None
+        Maps points of the depth camera, or of the LiDAR, at their stamp to the labels' at theirs;
+        None where both are the same.
 
     """
 
@@ -49,6 +52,7 @@ class Match:
     missing: set = field(default_factory=set)
     ready: int = None           # when nothing of it was missing any more
     T_body_camera: object = None
+    T_labels_depth: object = None
 
 
 @dataclass(order=True)

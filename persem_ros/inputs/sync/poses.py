@@ -173,6 +173,10 @@ class PoseBuffer:
         named = [name for name in path if BODIES.match(name)]
         return list(dict.fromkeys([*named, *reversed(fixed), *path]))
 
+    def tie(self, target: str, source: str, stamp: int) -> Lookup:
+        """Return the Lookup of T_target_source at *stamp*, by /tf_static and /tf alone."""
+        return self.tree.chain(target, source, stamp)
+
     def mount_sentence(self, frame: str) -> str:
         """Return the sentence that says what NO_MOUNT or UNSAID lacks for images in *frame*."""
         if self.unsaid(frame):

@@ -46,6 +46,10 @@ class RefinedWriter:
         """Write a frame's refined labels, int32 (H, W), in the encoding of its input."""
         with self._watch('write'):
             base = f'/mapper/{frame.sensor}' if frame.sensor else '/mapper'
+            if frame.cloud is not None:
+                self._out.cloud(f'{base}/points', frame.stamp, frame.frame_id,
+                                frame.cloud.with_labels(labels))
+                return
             image = fitted(labels, frame.encoding)
             self._out.image(f'{base}/labels', frame.stamp, frame.frame_id, image, frame.encoding)
             self._out.image(f'{base}/labels_color', frame.stamp, frame.frame_id,

@@ -65,6 +65,8 @@ class Metrics:
             self._has_regions = True
             codes = np.require(regions, np.uint8, 'C').reshape(-1) & (CODES - 1)
 
+        if sensor is None:      # no grid, so no pixel that could flicker
+            self._before.pop(sensor, None)
         last_shape, had, old = self._before.get(sensor, (None, None, {}))
         if last_shape != shape:     # a size that changes starts the flicker anew
             had, old = np.zeros(valid.size, np.bool_), {}
