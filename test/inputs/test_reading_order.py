@@ -185,6 +185,41 @@ def test_an_excerpt_outside_of_the_recording_is_refused_with_its_span(tmp_path):
         read(path, Excerpt(start='50'))
 
 
+@pytest.mark.parametrize('later', [0, DAY])
+@pytest.mark.parametrize('late', [0, 3])
+def test_a_legend_that_changes_counts_for_the_labels_recorded_after_it(tmp_path, late, later):
+    """Also where labels are recorded some frames after the depth of their stamp."""
+    def legend(*names):
+        return 'classes:\n' + ''.join(f'- {{id: {i + 1}, name: {name}}}\n'
+                                      for i, name in enumerate(names))
+
+    with RecordingWriter(tmp_path / 'bag') as out:
+        for i in range(12):
+            drive_log = bags.stamp(i)
+            out.message('pose', drive_log, *out.make.pose(bags.stamp(i), 'map', bags.pose(i)))
+            put(out, 'depth/image', i, bags.depth(i), '32FC1', drive_log)
+            out.message('depth/camera_info', drive_log, 'sensor_msgs/msg/CameraInfo',
+                        out.make.camera_info(bags.stamp(i), 'camera', 16, 12, bags.K))
+            if not later and i >= late:
+                changing(out, i - late, bags.stamp(i) + 1, legend)
+        for i in range(12) if later else ():
+            changing(out, i, bags.stamp(i) + later, legend)
+    with Recording(tmp_path / 'bag', Config()) as recording:
+        frames = list(recording.frames())
+    assert numbers(frames) == list(range(12 if later else 12 - late))
+    first = frames[0].labels[0, 0]
+    assert all((f.labels == first).all() for f in frames)
+
+
+def changing(out, i, log, legend):
+    """Write the label image of frame *i*, all tree, whose id changes with frame 5."""
+    if i in (0, 5):
+        out.text('semantic/legend', legend(*(('tree', 'road') if i < 5 else ('road', 'tree'))),
+                 stamp=log)
+    put(out, 'semantic/image', i, np.full((12, 16), 1 if i < 5 else 2, np.uint16), 'mono16',
+        log + 1)
+
+
 def test_the_stamp_of_a_message_is_in_its_first_bytes():
     with_header = bytes([0, 1, 0, 0]) + (7).to_bytes(4, 'little') + (9).to_bytes(4, 'little')
     assert stamp_of(IMAGE, with_header) == 7_000_000_009

@@ -15,7 +15,8 @@ class Index:
 
     Messages are sorted by their header stamps, whatever their log times and wherever they lie
     in the files: labels computed a day later and recorded then come beside their depth. A message
-    whose type has no header keeps its place before the next one with a header in its file.
+    whose type has no header keeps its place before the next one of *followed*, or else before the
+    next one with a header, in its file.
 
     Parameters
     ----------
@@ -23,6 +24,8 @@ class Index:
         The open input.
     names : collection of str
         Topics.
+    followed : collection of str
+        Topics to which what has no stamp belongs: a legend to the labels that come after it.
 
     Attributes
     ----------
@@ -35,22 +38,26 @@ class Index:
 
     """
 
-    def __init__(self, source: Source, names: Collection[str]) -> None:
+    def __init__(self, source: Source, names: Collection[str],
+                 followed: Collection[str] = ()) -> None:
         self._source = source
         numbers: dict[tuple[str, str], int] = {}
         stamps, topics, files, places = array('q'), array('H'), array('H'), array('q')
-        headless: list[int] = []        # without a stamp so far
+        fresh: list[int] = []       # without a stamp so far
+        waiting: list[int] = []     # with that of a topic that is not followed
         file = -1
         for head in source.heads(names):
             if head.file != file:
-                _fill(stamps, headless, None)
-                file = head.file
+                fresh, waiting, file = [], [], head.file
             stamp = stamp_of(head.msgtype, head.start)
             if stamp is None:
-                headless.append(len(stamps))
+                fresh.append(len(stamps))
                 stamp = head.time
-            elif headless:
-                _fill(stamps, headless, stamp)
+            elif fresh or waiting:
+                follows = head.topic in followed
+                for i in fresh + waiting if follows else fresh:
+                    stamps[i] = stamp
+                fresh, waiting = [], [] if follows else waiting + fresh
             stamps.append(stamp)
             topics.append(numbers.setdefault((head.topic, head.msgtype), len(numbers)))
             files.append(head.file)
@@ -129,11 +136,3 @@ class Index:
         for at, i in zip(key[order].tolist(), chosen[order].tolist()):
             name, kind = self.topics[self.topic[i]]
             yield name, kind, at, self._source.read(int(self._file[i]), int(self._place[i]))
-
-
-def _fill(stamps: array, headless: list[int], stamp: int | None) -> None:     # type: ignore
-    """Give messages without a stamp that of the next one that has one, if there is one."""
-    if stamp is not None:
-        for i in headless:
-            stamps[i] = stamp
-    headless.clear()

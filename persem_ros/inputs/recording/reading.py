@@ -101,7 +101,7 @@ class Reading(Intake):
         ahead = round(AHEAD * 1e9)
         shifts = {topic: -ahead if roles & {POSE, TF} else 0 for topic, roles in kinds.items()}
         for topic, roles in kinds.items():
-            if LABELS in roles:
+            if roles & {LABELS, LEGEND}:
                 shifts[topic] += self.offset
         ranks = {topic: max(RANKS[role] for role in roles) for topic, roles in kinds.items()}
         first, last = self._bounds

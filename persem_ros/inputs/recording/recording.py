@@ -131,7 +131,8 @@ class Recording:
         if self._index is None:
             used = {topic for chosen in self.topics.values() for topic in chosen.values()}
             used |= {*self.choice.tf, *self.choice.legends}
-            self._index = Index(self.source, {topic.name for topic in used})
+            self._index = Index(self.source, {topic.name for topic in used},
+                                {chosen['labels'].name for chosen in self.topics.values()})
             there = self._index.counts()
             for topic in sorted(used):
                 if there.get(topic.name, 0) < topic.count:
