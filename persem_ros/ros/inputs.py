@@ -7,18 +7,22 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TransformS
 from nav_msgs.msg import Odometry
 from persem_ros.errors import PersemError
 from persem_ros.inputs.decode import messages
-from persem_ros.inputs.intake import INFO, ORDER, POSE, TF
-from persem_ros.inputs.sync.pairing import COLOR, DEPTH, LABELS
+from persem_ros.inputs.intake import INFO, LABELS_INFO, ORDER, POSE, TF
+from persem_ros.inputs.recording.topics import roles_of
+from persem_ros.inputs.sync.pairing import (
+    COLOR, CONFIDENCE, DEPTH, DEPTH_CONFIDENCE, LABELS)
 from persem_ros.inputs.sync.poses import PoseBuffer
 from persem_ros.ros.inbox import Item
 from persem_ros.settings.config import topics_of
 from rclpy.event_handler import SubscriptionEventCallbacks, UnsupportedEventTypeError
 from rclpy.qos import (
     DurabilityPolicy, qos_check_compatible, QoSCompatibility, QoSProfile, ReliabilityPolicy)
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from tf2_msgs.msg import TFMessage
 
 TF_STATIC = 'tf_static'
+OPTIONAL = (COLOR, TF_STATIC, LABELS_INFO)      # nobody need publish them
+QOS_OF = {CONFIDENCE: LABELS, DEPTH_CONFIDENCE: DEPTH}
 POSES = {cls.__name__: cls for cls in (PoseStamped, PoseWithCovarianceStamped, Odometry,
                                        TransformStamped)}
 SMALL_FACTOR = 10       # poses and camera infos kept per image
@@ -141,7 +145,7 @@ class Inputs:
         """Return the inputs without which there is no frame."""
         tf = self._config.pose.source == 'tf'
         return [one for one in self.all
-                if one.role not in (COLOR, TF_STATIC) and (tf or one.role != TF)]
+                if one.role not in OPTIONAL and (tf or one.role != TF)]
 
     def resolve(self):
         """Follow the graph: the first of an input's choices that is published, as it is."""
@@ -192,7 +196,7 @@ class Inputs:
 
     def describe(self):
         """Return what is listened to, under the names after remapping, in one line."""
-        shown = [one for one in self.all if one.role not in (COLOR, TF_STATIC)
+        shown = [one for one in self.all if one.role not in OPTIONAL
                  and (one in self.needed or one.chosen is not None)]
         return ', '.join(f'{one.listened} ({one.role})' for one in shown)
 
@@ -207,16 +211,23 @@ class Inputs:
             else:
                 kinds = [POSES[pose.type]] if pose.type in POSES else list(POSES.values())
                 self._add(POSE, name, [buffer], kinds, qos.pose, small)
-        station = self.stations[camera] = intake.add_camera(camera, self._buffers[name], (COLOR,))
-        for role in (LABELS, DEPTH, COLOR):
-            name = getattr(topics, role)
-            self._add(role, name, [station], [Image, CompressedImage], getattr(qos, role),
-                      qos.queue)
-        if topics.camera_info in self._infos:
-            self._infos[topics.camera_info].takers.append(station)
-        else:
-            self._infos[topics.camera_info] = self._add(
-                INFO, topics.camera_info, [station], [CameraInfo], qos.camera_info, small)
+        roles = roles_of(self._config, topics)
+        needed = [role for role in (DEPTH, CONFIDENCE, DEPTH_CONFIDENCE)
+                  if role in roles and getattr(topics, roles[role])]
+        colors = [COLOR] if COLOR in roles else []
+        station = self.stations[camera] = intake.add_camera(
+            camera, self._buffers[name], colors, needed)
+        for role in (LABELS, *needed, *colors):
+            kinds = [PointCloud2] if roles[role] == 'points' else [Image, CompressedImage]
+            self._add(role, getattr(topics, roles[role]), [station], kinds,
+                      getattr(qos, QOS_OF.get(role, role)), qos.queue)
+        for role in [role for role in (INFO, LABELS_INFO) if role in roles]:
+            key = role, getattr(topics, roles[role])
+            if key in self._infos:
+                self._infos[key].takers.append(station)
+            else:
+                self._infos[key] = self._add(role, key[1], [station], [CameraInfo],
+                                             qos.camera_info, small)
 
     def _add(self, role, name, takers, kinds, setting, depth):
         """Add an input whose topic has one of *kinds*; images may come by a transport."""

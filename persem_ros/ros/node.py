@@ -5,8 +5,10 @@ import logging
 import threading
 
 from persem_ros.errors import PersemError
+from persem_ros.inputs.decode import legends
 from persem_ros.inputs.decode.serialized import Decoder
 from persem_ros.inputs.live import LiveIntake
+from persem_ros.inputs.names import Names
 from persem_ros.ros.counters import Statistics
 from persem_ros.ros.diagnostics import Diagnostics
 from persem_ros.ros.ending import Ending
@@ -60,6 +62,7 @@ class Mapper(Node):
         decode = Decoder()
         self.intake = LiveIntake(config, decode, self.statistics.dropped, self.worker.jumped,
                                  lambda: self.get_clock().now().nanoseconds)
+        self.intake.names = Names(config, self.legend)
         self.maps = MapOutputs(self, config.frames.map, self.colors)
         cameras = [name for name in config.cameras if name] or ['']
         images = {name: ImageOutputs(self, name, self.colors) for name in cameras}
@@ -125,14 +128,19 @@ class Mapper(Node):
         self._diagnostics.publish(self._watchdog.state)
 
     def _take_legend(self, msg):
-        """Use the legend of a topic; refuse what is none."""
+        """Take the names of a topic, YAML or JSON; warn of what is neither."""
         try:
-            legend = Legend.from_yaml(msg.data, self.parameters.config.labels.topic)
+            table = legends.table(msg)
         except PersemError as error:
-            self.get_logger().warning(str(error))
+            self.get_logger().warning(f'{self.parameters.config.labels.topic}: {error}')
             return
-        if legend != self.legend:
-            self.legend = legend
+        self.worker.call(self._know, table)
+
+    def _know(self, table):
+        """Let ids follow their names from now on; on the worker's thread, which decodes."""
+        self.intake.names.add(table)
+        if self.intake.names.legend != self.legend:
+            self.legend = self.intake.names.legend
             self.maps.publish_legend()
 
 
