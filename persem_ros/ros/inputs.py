@@ -25,7 +25,7 @@ OPTIONAL = (COLOR, TF_STATIC, LABELS_INFO)      # nobody need publish them
 QOS_OF = {CONFIDENCE: LABELS, DEPTH_CONFIDENCE: DEPTH}
 POSES = {cls.__name__: cls for cls in (PoseStamped, PoseWithCovarianceStamped, Odometry,
                                        TransformStamped)}
-SMALL_FACTOR = 10       # poses and camera infos kept per image
+SMALL_FACTOR = 50       # poses and camera infos kept per image: they outlast a busy second or ten
 
 
 class Input:

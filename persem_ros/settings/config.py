@@ -259,7 +259,7 @@ class Qos:
     camera_info: str = setting(*_QOS, choices=QOS, live=False)
     pose: str = setting(*_QOS, choices=QOS, live=False)
     color: str = setting(*_QOS, choices=QOS, live=False)
-    queue: int = setting(20, 'images of a topic that the middleware keeps; ten times as many '
+    queue: int = setting(20, 'images of a topic that the middleware keeps; fifty times as many '
                          'camera infos and poses', 'messages', 1, 10000, live=False)
 
 

@@ -60,4 +60,11 @@ def test_a_clock_behind_is_told_with_its_distance(ros, kind):
     camera = Camera(ros.client, kind, offset=-5.0)
     camera.fly(60, until=lambda: 'older than the image' in mapper.output)
     mapper.says('do the clocks differ')
-    assert mapper.values()['frames'] == '0'
+    camera.fly(60, until=lambda: found(ros))        # the look at the first messages says so, too
+    assert found(ros) and mapper.values()['frames'] == '0'
+
+
+def found(ros):
+    """Return what /diagnostics tells of the look at the first messages."""
+    return [value.value for array in ros.diagnostics[-2:] for status in array.status
+            if status.name == 'mapper: preflight' for value in status.values]
