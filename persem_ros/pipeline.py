@@ -16,7 +16,7 @@ from persem_ros.core.frame import images
 from persem_ros.core.frame.observe import gather
 from persem_ros.core.frame.render import filled, render, voxel_image, voxel_image_of
 from persem_ros.core.memory.voxel_memory import VoxelMemory
-from persem_ros.core.refine.job import refine
+from persem_ros.core.refine.job import begin_next, finish, refine
 from persem_ros.frames import UNKNOWN
 
 if TYPE_CHECKING:
@@ -59,6 +59,11 @@ class Pipeline:
     def refine(self, full: bool = True) -> int:
         """Refine the map; return the number of voxels visited."""
         return refine(self.memory, self.config.refine, full)
+
+    def refine_next(self) -> int:
+        """Refine what is next in turn, as a node does; return the number of voxels visited."""
+        job = begin_next(self.memory, self.config.refine)
+        return finish(job, *job.compute())
 
     def render(self, frame: Frame, observations: Any = None) -> NDArray[np.int32]:
         """

@@ -106,7 +106,7 @@ class Replay:
                     observations = self._integrate(frame)
                     refined_at = frame.stamp if refined_at is None else refined_at
                     if frame.stamp - refined_at >= period:
-                        self._refine()
+                        self._refine(full=False)
                         refined_at = frame.stamp
                     rendering = self._render(frame, observations)
                     self._measure(frame, rendering)
@@ -164,10 +164,13 @@ class Replay:
         for note in self.advice.about_voxels(memory):
             log.warning(note)
 
-    def _refine(self):
-        """Refine the map, and label it by the other methods."""
+    def _refine(self, full=True):
+        """Refine the map, or what is next in turn; label it by the other methods."""
         with self.watch('refine'):
-            self.pipeline.refine(full=True)
+            if full:
+                self.pipeline.refine(full=True)
+            else:
+                self.pipeline.refine_next()
         with self.watch('label'):
             self.renderer.relabel()
 

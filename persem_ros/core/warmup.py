@@ -9,7 +9,7 @@ from persem_ros.core.jit import keep_memory, mark_complete
 from persem_ros.core.memory.dump import dump, load
 from persem_ros.core.memory.evict import keep_near
 from persem_ros.core.memory.voxel_memory import VoxelMemory
-from persem_ros.core.refine.job import label, refine
+from persem_ros.core.refine.job import begin_next, finish, label, refine
 from persem_ros.core.refine.regions import regions
 from persem_ros.frames import Frame, pinhole
 from persem_ros.settings.config import Memory, METHODS, Refine
@@ -42,6 +42,8 @@ def warm_up():
     many.add(observe(seen_points, (np.arange(len(seen_points)) % 80).astype(ids.dtype),
                      frame.T_map_camera, memory.voxel_size))
     label(many, 'geometry', Refine())
+    job = begin_next(memory, Refine(), fresh=True)
+    finish(job, *job.compute())
     memory = load(dump(memory))
     first = memory.voxels()['voxel'][0]
     memory.evidence(first)

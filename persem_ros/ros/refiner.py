@@ -7,7 +7,7 @@ import threading
 import time
 
 from persem_ros.core.jit import work_alone
-from persem_ros.core.refine.job import abandon, begin, finish
+from persem_ros.core.refine.job import abandon, at_rest, begin_next, finish, swept
 from persem_ros.errors import PersemError
 
 NICE = 10       # above the priority of the process, where 19 is least
@@ -34,9 +34,9 @@ class Refiner:
         self._thread = ThreadPoolExecutor(1, 'refine', _stand_back)
         self._job = self._result = None
         self._began = time.monotonic()
-        self._count = 0
         self._asked = []        # futures of those who want a full refinement from here on
-        self._served = []       # futures that the refinement under way will answer
+        self._served = []       # futures of those for whom one is under way, slice by slice
+        self._visited, self._asked_at = 0, 0.0      # of that one
 
     @property
     def busy(self):
@@ -48,42 +48,46 @@ class Refiner:
         Begin a refinement where one is due and none under way.
 
         Without anything new in the map (*stale* false) only that which was asked for is due.
-        Returns whether a full one has begun: after it there is nothing left to refine.
+        Returns whether one has begun after which there is nothing left to refine.
 
         """
         if self._job is not None:
             return False
         if memory.n_voxels:
             due = stale and time.monotonic() - self._began >= settings.period
-            return self._begin(memory, settings) if self._asked or due else False
-        for asked in self._asked:
-            asked.set_exception(PersemError('the map is empty, there is nothing to refine'))
-        self._asked = []
+            wanted = self._asked or self._served or due
+            return self._begin(memory, settings) if wanted else False
+        for future in self._asked + self._served:
+            future.set_exception(PersemError('the map is empty, there is nothing to refine'))
+        self._asked, self._served = [], []
         return False
 
     def finish(self, memory):
         """Enter what has been computed; return whether labels may have changed."""
         if self._job is None or not self._result.done():
             return False
-        job, result, served = self._job, self._result, self._served
+        job, result = self._job, self._result
         self._job = self._result = None
-        self._served = []
         if job.memory is not memory:        # the map was replaced meanwhile
             abandon(job)
-            self._asked += served
+            self._asked, self._served = self._asked + self._served, []
             return False
         error = result.exception()
         if error is not None:
             abandon(job)
-            for future in served:
+            for future in self._served:
                 future.set_exception(error)
+            self._served = []
             raise error
         visited = finish(job, *result.result())
-        took = time.monotonic() - self._began
         self._statistics.refinements += 1
-        self._statistics.refined_in, self._statistics.visited = took, visited
-        for future in served:
-            future.set_result((visited, took))
+        self._statistics.refined_in = time.monotonic() - self._began
+        self._statistics.visited = visited
+        self._visited += visited
+        if swept(memory, job.settings):
+            for future in self._served:
+                future.set_result((self._visited, time.monotonic() - self._asked_at))
+            self._served = []
         return visited > 0
 
     def ask(self):
@@ -99,13 +103,14 @@ class Refiner:
             future.set_exception(PersemError('the node is shutting down'))
 
     def _begin(self, memory, settings):
-        full = bool(self._asked) or self._count % settings.volatility_every == 0
-        self._count += 1
         self._began = time.monotonic()
-        self._job = begin(memory, settings, full)
-        self._served, self._asked = self._asked, []
+        fresh = bool(self._asked) and not self._served
+        if fresh:
+            self._served, self._asked = self._asked, []
+            self._visited, self._asked_at = 0, self._began
+        self._job = begin_next(memory, settings, fresh)
         self._result = self._thread.submit(self._compute, self._job)
-        return full
+        return at_rest(memory, settings)
 
     def _compute(self, job):
         try:

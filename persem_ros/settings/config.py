@@ -115,7 +115,11 @@ class Refine:
     beta: float = setting(0.5, 'bonus of the method consensus (beta)', '', 0.0, 100.0)
     period: float = setting(1.0, 'time between refinements', 's', 0.01, 3600.0)
     volatility_every: int = setting(
-        10, 'every n-th refinement takes the class volatility anew', '', 1, 1 << 20)
+        10, 'refinements, at least, before the class volatility is taken anew; all voxels have '
+        'seen the last one by then (node, --causal)', '', 1, 1 << 20)
+    sweep: int = setting(
+        100_000, 'voxels that a refinement visits, beside those that changed, until all have '
+        'seen the class volatility in force (node, --causal)', 'voxels', 1, 1 << 30)
     up: str = setting('z', 'axis of the map that points up (geometry)',
                       choices=('x', 'y', 'z', '-x', '-y', '-z'))
     geometry: Geometry = Geometry()

@@ -296,7 +296,7 @@ def test_causal_equals_a_loop_by_hand(recording, tmp_path):
     for frame in frames:
         pipeline.add(frame)
         if frame.stamp - refined_at >= 400_000_000:
-            pipeline.refine()
+            pipeline.refine_next()
             refined_at = frame.stamp
         images.append(pipeline.render(frame))
     pipeline.refine()

@@ -5,7 +5,8 @@ from persem_ros.core.jit import inlined, kernel
 from persem_ros.core.memory.blocks import find_block, make_block
 from persem_ros.core.memory.evidence import add_here, majority, majority_here, spill
 from persem_ros.core.memory.pools import (
-    CHUNK, FIRST_VOXEL, FREE, FREE_VOXELS, LINKS, OBSERVATIONS, RETIRED, SIDE, STORED, VOXELS)
+    CHUNK, CLOCK, FIRST_VOXEL, FREE, FREE_VOXELS, LINKS, OBSERVATIONS, RETIRED, SIDE, STORED,
+    VOXELS)
 from persem_ros.frames import UNKNOWN
 
 AHEAD = 1024        # observations whose records are fetched at once; they fit the cache
@@ -19,20 +20,22 @@ def add_observations(pools, table, places, labels, confidences, where, f, max_hi
     The hash table has room for as many new blocks as there are observations.
 
     """
-    blocks, voxels, links, spills, offsets, free, retired, used, starts, changes = pools
+    blocks, voxels, links, spills, offsets, stamps, free, retired, used, starts, changes = pools
     added, touched = 0, 0
+    used[CLOCK] += 1
     for begin in range(0, len(labels), AHEAD):
         end = min(begin + AHEAD, len(labels))
-        touched += look_ahead(blocks, voxels, links, offsets, table, places, labels, begin, end,
-                              rows)
+        touched += look_ahead(blocks, voxels, links, offsets, stamps, used[CLOCK], table, places,
+                              labels, begin, end, rows)
         for p in range(begin, end):
             c = labels[p]
             if c == UNKNOWN:
                 rows[p] = -1
                 continue
             if rows[p] < 0:
-                rows[p] = make_voxel(blocks, voxels, used, table, np.int64(places[p, 0]),
-                                     np.int64(places[p, 1]), np.int64(places[p, 2]))
+                rows[p] = make_voxel(blocks, voxels, stamps, used, table,
+                                     np.int64(places[p, 0]), np.int64(places[p, 1]),
+                                     np.int64(places[p, 2]))
             voxel = voxels[rows[p]]
             added += 1
             if voxel.n > 0:
@@ -69,7 +72,8 @@ def add_observations(pools, table, places, labels, confidences, where, f, max_hi
 
 
 @inlined
-def look_ahead(blocks, voxels, links, offsets, table, places, labels, begin, end, rows):
+def look_ahead(blocks, voxels, links, offsets, stamps, now, table, places, labels, begin, end,
+               rows):
     """
     Find the voxels of observations begin .. end, -1 where new; mark them; fetch their records.
 
@@ -89,7 +93,7 @@ def look_ahead(blocks, voxels, links, offsets, table, places, labels, begin, end
             cells = blocks[b].cells
             rows[p] = np.int64(cells[((i & 7) * SIDE + (j & 7)) * SIDE + (k & 7)]) - 1
             if labels[p] != UNKNOWN:
-                mark(blocks[b], i, j, k)
+                mark(blocks[b], stamps[b], now, i, j, k)
     for p in range(begin, end):
         if rows[p] >= 0:
             tail = np.int64(voxels[rows[p]].tail) - 1
@@ -99,7 +103,7 @@ def look_ahead(blocks, voxels, links, offsets, table, places, labels, begin, end
 
 
 @inlined
-def make_voxel(blocks, voxels, used, table, i, j, k):
+def make_voxel(blocks, voxels, stamps, used, table, i, j, k):
     """Make the voxel with the index (i, j, k), and its block where there is none."""
     b = find_block(blocks, table, i >> 3, j >> 3, k >> 3)
     if b < 0:
@@ -108,16 +112,17 @@ def make_voxel(blocks, voxels, used, table, i, j, k):
     cells = blocks[b].cells
     cells[((i & 7) * SIDE + (j & 7)) * SIDE + (k & 7)] = v + 1
     blocks[b].count += 1
-    mark(blocks[b], i, j, k)
+    mark(blocks[b], stamps[b], used[CLOCK], i, j, k)
     return v
 
 
 @inlined
-def mark(block, i, j, k):
-    """Mark the voxel with the index (i, j, k) as changed."""
+def mark(block, stamp, now, i, j, k):
+    """Mark the voxel with the index (i, j, k) as changed now, a tick of the clock."""
     changed = block.changed
     changed[(i & 7) * SIDE + (j & 7)] |= np.uint8(1 << (k & 7))
-    block.dirty = 1
+    stamp.evidence = now
+    stamp.shown = now
 
 
 @inlined

@@ -43,6 +43,26 @@ def insert_block(blocks, table, b):
 
 
 @inlined
+def remove_block(blocks, table, b):
+    """Take block *b* out of the hash table and close the gap that it leaves."""
+    mask = np.uint64(len(table) - 1)
+    i, j, k = blocks[b].index
+    gap = hash3(np.int64(i), np.int64(j), np.int64(k)) & mask
+    while np.int64(table[gap]) != b + 1:
+        gap = (gap + np.uint64(1)) & mask
+    place = (gap + np.uint64(1)) & mask
+    while table[place] != 0:
+        i, j, k = blocks[np.int64(table[place]) - 1].index
+        home = hash3(np.int64(i), np.int64(j), np.int64(k)) & mask
+        # An entry may move up to the gap where that is not before the place it was made for.
+        if (place - home) & mask >= (place - gap) & mask:
+            table[gap] = table[place]
+            gap = place
+        place = (place + np.uint64(1)) & mask
+    table[gap] = 0
+
+
+@inlined
 def make_block(blocks, used, table, bi, bj, bk):
     """Add an empty block, tie it to its neighbours and return its number."""
     if used[FIRST_BLOCK] > 0:       # one that was dropped

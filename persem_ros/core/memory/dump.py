@@ -9,7 +9,7 @@ from persem_ros.core.memory.blocks import make_block, new_table
 from persem_ros.core.memory.evidence import add_evidence, count_classes, read_evidence
 from persem_ros.core.memory.frame_table import FrameTable
 from persem_ros.core.memory.history import link_of
-from persem_ros.core.memory.pools import CHUNK, OBSERVATIONS, STORED, VOXELS
+from persem_ros.core.memory.pools import CHUNK, CLOCK, OBSERVATIONS, STORED, VOXELS
 from persem_ros.core.memory.voxel_memory import sort_order, VoxelMemory
 
 
@@ -139,7 +139,9 @@ def load(saved):
         memory.store.beliefs['posterior'][:n] = saved.posterior
         memory.store.beliefs['label'][:n] = saved.label
     block = np.repeat(np.arange(len(saved.block_index)), np.diff(saved.block_start))
-    _mark_changed(memory.m.blocks, block, saved.cell, saved.dirty)
+    memory.m.used[CLOCK] = 1
+    memory.m.stamps['shown'][:len(saved.block_index)] = 1
+    _mark_changed(memory.m.blocks, memory.m.stamps, block, saved.cell, saved.dirty)
     memory.m.used[OBSERVATIONS] = int(saved.observations.sum(dtype=np.int64))
     memory.m.used[STORED] = len(saved.history_frame)
     memory.m.starts[:] = saved.starts
@@ -193,7 +195,7 @@ def _read(voxels, links, spills, offsets, number, evidence_start, classes, sums,
 def _write(pools, table, index, block_start, cell, observations, evidence_start, classes, sums,
            history_start, labels, confidences, frames, where):
     """Fill empty pools from the columns; voxel numbers become row numbers."""
-    blocks, voxels, links, spills, offsets, free, retired, used, starts, changes = pools
+    blocks, voxels, links, spills, offsets, stamps, free, retired, used, starts, changes = pools
     for b in range(len(index)):
         made = make_block(blocks, used, table, np.int64(index[b, 0]), np.int64(index[b, 1]),
                           np.int64(index[b, 2]))
@@ -215,10 +217,10 @@ def _write(pools, table, index, block_start, cell, observations, evidence_start,
 
 
 @kernel
-def _mark_changed(blocks, block, cell, dirty):
+def _mark_changed(blocks, stamps, block, cell, dirty):
     """Mark the cells whose evidence has changed since a refinement began."""
     for v in range(len(cell)):
         if dirty[v]:
             changed = blocks[block[v]].changed
             changed[np.int64(cell[v]) >> 3] |= np.uint8(1 << (np.int64(cell[v]) & 7))
-            blocks[block[v]].dirty = 1
+            stamps[block[v]].evidence = 1

@@ -2,10 +2,10 @@
 
 import numpy as np
 from persem_ros.core.jit import inlined, kernel
-from persem_ros.core.memory.blocks import new_table, rehash
+from persem_ros.core.memory.blocks import remove_block
 from persem_ros.core.memory.pools import (
-    CELLS, FIRST_BLOCK, FIRST_SPILL, FIRST_VOXEL, FREE, FREE_BLOCKS, FREE_SPILLS, FREE_VOXELS,
-    INLINE, ROWS, SIDE, STORED)
+    CELLS, CLOCK, FIRST_BLOCK, FIRST_SPILL, FIRST_VOXEL, FREE, FREE_BLOCKS, FREE_SPILLS,
+    FREE_VOXELS, INLINE, ROWS, SIDE, STORED)
 
 
 def keep_near(memory, position, radius=0.0, max_voxels=0):
@@ -56,21 +56,27 @@ def keep_near(memory, position, radius=0.0, max_voxels=0):
 
 
 def drop(memory, numbers):
-    """Drop whole blocks by number, when no refinement is under way; all else is revisited."""
+    """
+    Drop whole blocks by number, when no refinement is under way.
+
+    What lies beside them has other neighbours now and counts as changed.
+
+    """
     numbers = np.asarray(numbers, np.int64)
     cells = memory.m.blocks['cells'][numbers]
     memory.store.beliefs['posterior'][cells[cells > 0] - 1] = 0.0
-    _drop(memory.m, numbers)
-    memory.table = new_table(memory.n_blocks + 512)
-    rehash(memory.m.blocks, memory.m.used, memory.table)
-    memory.refined_with = None      # neighbourhoods have changed
+    _drop(memory.m, memory.table, numbers)
+    if memory.geometry is not None:     # it looks farther than the blocks beside
+        memory.refined_with = None
 
 
 @kernel
-def _drop(pools, numbers):
+def _drop(pools, table, numbers):
     """Give the records of the blocks back to their pools, zeroed."""
-    blocks, voxels, links, spills, offsets, free, retired, used, starts, changes = pools
+    blocks, voxels, links, spills, offsets, stamps, free, retired, used, starts, changes = pools
+    used[CLOCK] += 1
     for b in numbers:
+        remove_block(blocks, table, b)
         block = blocks[b]
         cells, near, changed = block.cells, block.near, block.changed
         for cell in range(CELLS):
@@ -102,12 +108,17 @@ def _drop(pools, numbers):
             used[FREE_VOXELS] += 1
         for d in range(27):
             if near[d] > 0:
-                beside = blocks[np.int64(near[d]) - 1].near
+                other = np.int64(near[d]) - 1
+                beside, marks = blocks[other].near, blocks[other].changed
                 beside[26 - d] = 0
                 near[d] = 0
+                stamps[other].evidence = used[CLOCK]
+                for row in range(ROWS):
+                    marks[row] = 255
         for row in range(ROWS):
             changed[row] = 0
-        block.dirty = 0
+        stamps[b].evidence = 0
+        stamps[b].shown = used[CLOCK]
         block.count = used[FIRST_BLOCK]
         used[FIRST_BLOCK] = b + 1
         used[FREE_BLOCKS] += 1

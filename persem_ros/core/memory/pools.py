@@ -54,19 +54,25 @@ BLOCK = np.dtype([
     ('cells', 'u4', CELLS),         # voxel number + 1 of each cell, x slowest; 0: never seen
     ('near', 'u4', 27),             # block number + 1 of the 27 blocks around, itself included
     ('changed', 'u1', ROWS),        # a bit per cell: evidence changed since a refinement began
-    ('count', 'u4'), ('dirty', 'u1'), ('pad', 'u1', 3)])       # dirty: any cell changed
+    ('count', 'u4')])
+# When a block last changed, in ticks of used[CLOCK]. A pool of its own: whoever wants to know what
+# changed since it last looked reads 16 bytes a block and not the blocks.
+STAMP = np.dtype([('evidence', 'i8'),   # observed, or a neighbour was let go
+                  ('shown', 'i8')])     # that, or a label: what a viewer sees
 
 # What kernels are handed. Records rather than an array per field: numba counts a reference each
 # time an array is taken out of a tuple, which made adding an observation 30 times slower.
 Pools = namedtuple('Pools', [
     'blocks', 'voxels', 'links', 'spills',      # records of the types above
     'offsets',                                  # OFFSETS of the links, by the same number
+    'stamps',                                   # STAMP of the blocks, by the same number
     'free', 'retired',                          # numbers of links: unused, unused soon
     'used',                                     # how much of each pool is in use, see below
     'starts', 'changes'])                       # class volatility's counters, (65536,) int64
 
 # Places in Pools.used
 BLOCKS, VOXELS, LINKS, SPILLS, FREE, RETIRED, OBSERVATIONS, STORED = range(8)
+CLOCK = 14          # grows with everything that changes the map; the time of STAMP
 # Dropped records: how many, and the first one, + 1, of a list that runs through their own fields
 # (blocks: 'count', voxels: 'head', spills: 'next').
 FREE_BLOCKS, FREE_VOXELS, FREE_SPILLS, FIRST_BLOCK, FIRST_VOXEL, FIRST_SPILL = range(8, 14)
@@ -96,8 +102,9 @@ class Store:
         self.capacity['voxels'] = min(self.capacity['voxels'], len(self.beliefs))
         self.arrays = Pools(
             *self._pools.values(), _reserve(OFFSETS, memory // 2),
+            _reserve(STAMP, self.capacity['blocks'] * STAMP.itemsize),
             _reserve(np.dtype('u4'), memory // 16),
-            _reserve(np.dtype('u4'), memory // 16), np.zeros(14, np.int64),
+            _reserve(np.dtype('u4'), memory // 16), np.zeros(15, np.int64),
             np.zeros(65536, np.int64), np.zeros(65536, np.int64))
 
     def check_room(self, voxels):
@@ -114,11 +121,22 @@ class Store:
         """Return {pool: bytes in use}."""
         used = self.arrays.used
         free = used[FREE] + used[RETIRED]
-        return {'blocks': int(used[BLOCKS] - used[FREE_BLOCKS]) * BLOCK.itemsize,
+        return {'blocks': int(used[BLOCKS] - used[FREE_BLOCKS]) * (
+                    BLOCK.itemsize + STAMP.itemsize),
                 'voxels': int(used[VOXELS] - used[FREE_VOXELS]) * VOXEL.itemsize,
                 'histories': int(used[LINKS] - free) * LINK.itemsize,
                 'offsets': int(used[LINKS] - free) * OFFSETS.itemsize,
                 'spilt evidence': int(used[SPILLS] - used[FREE_SPILLS]) * SPILL.itemsize}
+
+
+def sparse_zeros(shape, dtype):
+    """Return a zeroed array that costs memory and time only where it is written."""
+    dtype, n = np.dtype(dtype), int(np.prod(shape))
+    if n * dtype.itemsize < 1 << 16:
+        return np.zeros(shape, dtype)
+    space = mmap.mmap(-1, n * dtype.itemsize,
+                      flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | NORESERVE)
+    return np.frombuffer(space, dtype, n).reshape(shape)
 
 
 def _reserve(dtype, nbytes):

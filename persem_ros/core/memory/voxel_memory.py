@@ -7,7 +7,7 @@ from persem_ros.core.memory.blocks import find_voxels, list_voxels, new_table, r
 from persem_ros.core.memory.evidence import read_evidence
 from persem_ros.core.memory.frame_table import FrameTable, Session, session_uuid, Stamps
 from persem_ros.core.memory.pools import (
-    BLOCKS, CENTRE, CHUNK, FREE_VOXELS, OBSERVATIONS, Store, STORED, VOXELS)
+    BLOCKS, CENTRE, CHUNK, CLOCK, FREE_VOXELS, OBSERVATIONS, Store, STORED, VOXELS)
 from persem_ros.errors import PersemError
 
 LAST_T = 2 ** 31 - 1        # histories keep t as int32
@@ -42,6 +42,10 @@ class VoxelMemory:
         self.rho = None             # class volatility of the last full refinement
         self.refined_with = None    # settings of the last refinement; None: visit all next time
         self.refinements = 0        # under way: their links must not be used again
+        self.settled = 0            # tick up to which refinements were handed all changes
+        self.sweep = None           # core.refine.sweep.Sweep: which blocks saw the present rho
+        self.since_rho = 0          # refinements begun since rho was taken
+        self.rho_of = -1            # number of observations of which rho was taken
         self.store = Store()
         self.table = new_table(512)
         self.geometry = None        # parameters of the method geometry (core.geometry)
@@ -99,6 +103,15 @@ class VoxelMemory:
         self.seen_ids[observations.ids] = 1
         return rows
 
+    @property
+    def clock(self):
+        """Return the tick of the last change; what changes later bears a larger one."""
+        return int(self.m.used[CLOCK])
+
+    def changed_blocks(self):
+        """Return the numbers of the blocks with changes that no refinement was handed yet."""
+        return np.flatnonzero(self.m.stamps['evidence'][:self.n_blocks] > self.settled)
+
     def find(self, voxels):
         """Return the voxel numbers (n,) int64 of voxel indices (n, 3); -1 for unknown ones."""
         voxels = np.require(voxels, np.int32, 'C').reshape(-1, 3)
@@ -129,10 +142,20 @@ class VoxelMemory:
         starts = self.m.starts
         return np.divide(self.m.changes, starts, out=np.zeros(65536), where=starts > 0)
 
-    def listing(self):
-        """Return (block, cell, voxel number), each (n,) int64, of all voxels, block by block."""
-        lists = tuple(np.empty(self.n_voxels, np.int64) for _ in range(3))
-        list_voxels(self.m.blocks, np.arange(self.n_blocks), *lists)
+    def listing(self, blocks=None):
+        """
+        Return (block, cell, voxel number), each (n,) int64, of voxels, block by block.
+
+        blocks (b,) int64 are the numbers of the blocks, None: all.
+
+        """
+        if blocks is None:
+            blocks, size = np.arange(self.n_blocks), self.n_voxels
+        else:       # of those that were let go, 'count' has another meaning
+            live = self.m.blocks['near'][blocks, 13] > 0
+            size = int(self.m.blocks['count'][blocks][live].sum(dtype=np.int64))
+        lists = tuple(np.empty(size, np.int64) for _ in range(3))
+        list_voxels(self.m.blocks, blocks, *lists)
         return lists
 
     def voxels(self):
@@ -149,14 +172,16 @@ class VoxelMemory:
         """
         return ordered(self.columns())
 
-    def columns(self):
+    def columns(self, blocks=None):
         """
         Return what voxels() does, unsorted: the part that only the mapping thread may do.
+
+        blocks as in listing().
 
         One pass over the records, a tenth of what sorting and gathering by column costs.
 
         """
-        block, cell, number = self.listing()
+        block, cell, number = self.listing(blocks)
         n = len(number)
         columns = {'voxel': np.empty((n, 3), np.int32), 'label': np.empty(n, np.uint16),
                    'majority': np.empty(n, np.uint16), 'confidence': np.empty(n, np.float32),

@@ -6,7 +6,12 @@ import numpy as np
 from persem_ros.core.geometry.method import Labelled, relabel
 from persem_ros.core.jit import kernel, split
 from persem_ros.core.memory.blocks import directions
+from persem_ros.core.memory.pools import CLOCK
 from persem_ros.core.refine import fusion, selection, snapshot
+from persem_ros.core.refine.sweep import next_blocks, Sweep
+
+# Methods that look no farther than a voxel's neighbours: a part of the map at a time will do.
+SWEPT = {'majority', *fusion.MODES, *selection.METHODS}
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,9 +30,12 @@ class Job:
     rho: np.ndarray
     n_ids: int
     parameters: object
+    sweep: Sweep = None
 
     def compute(self):
         """Return the core.geometry.method.Labelled of the snapshot's refined rows."""
+        if self.sweep is not None:
+            self.sweep.prepare()
         return labelled(self.memory, self.snapshot, self.settings.method, self.settings,
                         self.rho, self.n_ids, self.parameters)
 
@@ -59,17 +67,77 @@ def refine(memory, settings, full=True):
 def begin(memory, settings, full=True):
     """Return the Job of a refinement; call it on the mapping thread, between two frames."""
     if full or memory.rho is None:
-        memory.rho, memory.refined_with, memory.geometry = memory.volatility(), None, None
-    n_ids = int(np.count_nonzero(memory.seen_ids))
-    # Other settings, or for this one method another number of ids, concern every voxel.
-    rules = settings, n_ids if settings.method == 'probabilistic' else 0
+        _take_rho(memory)
+    rules = _rules(memory, settings)
     everywhere = memory.refined_with != rules or (
-        settings.method == 'geometry' and memory.m.blocks['dirty'][:memory.n_blocks].any())
+        settings.method == 'geometry' and len(memory.changed_blocks()) > 0)
     memory.refined_with = rules
+    memory.since_rho += 1
+    if everywhere:
+        memory.sweep = None
     taken = snapshot.take(memory, None if everywhere else settings.neighbours)
     snapshot.settle(memory)
     memory.refinements += 1
-    return Job(memory, settings, taken, memory.rho, n_ids, memory.geometry)
+    return Job(memory, settings, taken, memory.rho, number_of_ids(memory), memory.geometry)
+
+
+def begin_next(memory, settings, fresh=False):
+    """
+    Return the Job of the refinement that is next in turn (spec section 9, *Flat*).
+
+    It visits what changed and, beside it, the next settings.sweep voxels, until all have seen
+    the present class volatility. That is taken anew when settings.volatility_every refinements
+    were begun with it and all voxels have seen it, or at once with *fresh*.
+
+    """
+    if settings.method not in SWEPT:
+        return begin(memory, settings, fresh or _due(memory, settings))
+    rules = _rules(memory, settings)
+    if fresh or memory.rho is None or _due(memory, settings):
+        _take_rho(memory)
+    if memory.refined_with != rules:
+        memory.sweep = Sweep(memory.m.blocks, memory.n_blocks)
+    memory.refined_with = rules
+    memory.since_rho += 1
+    also = next_blocks(memory.sweep, memory.m.blocks, memory.table, settings.sweep)
+    taken = snapshot.take(memory, settings.neighbours, also)
+    snapshot.settle(memory)
+    memory.refinements += 1
+    return Job(memory, settings, taken, memory.rho, number_of_ids(memory), None, memory.sweep)
+
+
+def swept(memory, settings):
+    """Return whether every voxel has seen the present volatility and settings."""
+    return memory.rho is not None and memory.refined_with == _rules(memory, settings) and \
+        (memory.sweep is None or memory.sweep.ended)
+
+
+def at_rest(memory, settings):
+    """Return whether nothing is left to refine until something is observed or let go."""
+    return swept(memory, settings) and memory.rho_of == memory.n_observations and \
+        not len(memory.changed_blocks())
+
+
+def _take_rho(memory):
+    """Take the class volatility anew; every voxel has to see it."""
+    memory.rho, memory.rho_of = memory.volatility(), memory.n_observations
+    memory.refined_with, memory.since_rho, memory.geometry = None, 0, None
+
+
+def _due(memory, settings):
+    """Return whether the volatility has been used for long enough, and by all voxels."""
+    return memory.since_rho >= settings.volatility_every and (
+        memory.sweep is None or memory.sweep.ended)
+
+
+def _rules(memory, settings):
+    """Return what labels everywhere depend on: settings, and for one method the number of ids."""
+    return settings, number_of_ids(memory) if settings.method == 'probabilistic' else 0
+
+
+def number_of_ids(memory):
+    """Return K, the number of distinct ids of all counted pixels."""
+    return int(np.count_nonzero(memory.seen_ids))
 
 
 def finish(job, labels, sources, posterior, parameters):
@@ -79,9 +147,10 @@ def finish(job, labels, sources, posterior, parameters):
     A label that equals the majority of the snapshot follows the majority of today.
 
     """
-    taken = job.snapshot
-    split(_enter, taken.refined, job.memory.m.voxels, taken.number, taken.majority, labels,
-          sources)
+    taken, pools = job.snapshot, job.memory.m
+    pools.used[CLOCK] += 1
+    split(_enter, taken.refined, pools.voxels, pools.stamps, pools.used[CLOCK], taken.block,
+          taken.number, taken.majority, labels, sources)
     _believe(job.memory.store.beliefs, taken.number[:taken.refined], labels, posterior)
     job.memory.geometry = parameters
     job.memory.refinements -= 1
@@ -107,7 +176,7 @@ def label(memory, method, settings):
     """
     taken = snapshot.take(memory)
     rows = labelled(memory, taken, method, settings, memory.volatility(),
-                    int(np.count_nonzero(memory.seen_ids)))[:2]
+                    number_of_ids(memory))[:2]
     labels, sources = (np.zeros(memory.n_numbers, a.dtype) for a in rows)
     labels[taken.number], sources[taken.number] = rows
     return labels, sources
@@ -161,12 +230,12 @@ def _believe(beliefs, number, labels, posterior):
 
 
 @kernel
-def _enter(begin, end, voxels, number, majority, labels, sources):
-    """Write labels and sources to the voxels' records."""
+def _enter(begin, end, voxels, stamps, now, block, number, majority, labels, sources):
+    """Write labels and sources to the voxels' records; stamp the blocks where they are new."""
     for r in range(begin, end):
         v = number[r]
-        if labels[r] == majority[r]:
-            voxels[v].label = voxels[v].majority
-        else:
-            voxels[v].label = labels[r]
-        voxels[v].source = sources[r]
+        label = voxels[v].majority if labels[r] == majority[r] else labels[r]
+        if voxels[v].label != label or voxels[v].source != sources[r]:
+            voxels[v].label = label
+            voxels[v].source = sources[r]
+            stamps[block[r]].shown = now

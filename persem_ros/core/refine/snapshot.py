@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from persem_ros.core.jit import kernel, split
 from persem_ros.core.memory.evidence import count_classes, read_evidence
-from persem_ros.core.memory.pools import ROWS, SIDE
+from persem_ros.core.memory.pools import CLOCK, ROWS, SIDE, sparse_zeros
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,13 +63,13 @@ class Snapshot:
     placed: np.ndarray
 
 
-def take(memory, neighbours=None):
+def take(memory, neighbours=None, also=()):
     """
     Return a Snapshot of the whole map or, with a neighbourhood, of what changed.
 
     With *neighbours* (6, 18 or 26) the voxels to be refined are those whose own or neighbouring
-    evidence changed since the last call of settle(); the snapshot holds these and the ring
-    around them.
+    evidence changed since the last call of settle(), and those of the blocks *also* (numbers);
+    the snapshot holds these and the ring around them.
 
     """
     pools = memory.m
@@ -77,9 +77,9 @@ def take(memory, neighbours=None):
         block, cell, number = memory.listing()
         refined = len(number)
     else:
-        block, cell, number, refined = _changed(memory, neighbours)
+        block, cell, number, refined = _changed(memory, neighbours, np.asarray(also, np.int64))
     n = len(number)
-    row = np.zeros(memory.n_numbers, np.int32)
+    row = sparse_zeros(memory.n_numbers, np.int32)
     row[number] = np.arange(1, n + 1, dtype=np.int32)
     start = np.zeros(n + 1, np.int64)
     split(_count, n, pools.voxels, pools.spills, number, start[1:])
@@ -96,21 +96,21 @@ def take(memory, neighbours=None):
 
 def settle(memory):
     """Mark every voxel as unchanged: a refinement has been handed all changes so far."""
-    blocks = memory.m.blocks
-    dirty = np.flatnonzero(blocks['dirty'][:memory.n_blocks])
-    blocks['changed'][dirty] = 0
-    blocks['dirty'][dirty] = 0
+    memory.m.blocks['changed'][memory.changed_blocks()] = 0
+    memory.settled = int(memory.m.used[CLOCK])
 
 
-def _changed(memory, neighbours):
+def _changed(memory, neighbours, also):
     """Return (block, cell, number) of the snapshot's voxels, refined ones first, and how many."""
     blocks, n = memory.m.blocks, memory.n_blocks
-    dirty = np.flatnonzero(blocks['dirty'][:n])
+    dirty = memory.changed_blocks()
     reach = {6: 0, 18: 1, 26: 2}[neighbours]
-    marks, needed = np.zeros((n, ROWS), np.uint8), np.zeros((n, ROWS), np.uint8)
-    marks[dirty] = blocks['changed'][dirty]
+    marks, needed, changed = (sparse_zeros((n, ROWS), np.uint8) for _ in range(3))
+    changed[dirty] = blocks['changed'][dirty]
     nearby = _around(blocks, dirty, n)
-    dilate(blocks, nearby, marks.copy(), reach, marks)
+    dilate(blocks, nearby, changed, reach, marks)
+    marks[also] = 255
+    nearby = np.union1d(nearby, also)
     further = _around(blocks, nearby, n)
     dilate(blocks, further, marks, reach, needed)
     size = int(blocks['count'][further].sum())
