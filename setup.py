@@ -20,6 +20,7 @@ setup(
     python_requires='>=3.10',
     install_requires=[
         'jinja2>=3.1',
+        'lz4>=4',
         'numba>=0.60',
         'numpy>=1.26',
         'opencv-python-headless>=4.8',

@@ -1,20 +1,28 @@
 """The command persem: dispatch, exit status, one line for everything that goes wrong."""
 
-import argparse
-from contextlib import contextmanager
-import importlib
-import logging
-import os
 import sys
 
-from persem_ros import __version__
-from persem_ros.errors import PersemError
-from persem_ros.settings.config import nearest, settings
+from persem_ros import ending
+
+if sys.argv[:1] and sys.argv[0].rpartition('/')[2] in ('persem', '__main__.py'):
+    # Until main() begins. A worker of an evaluation runs this file, too, and has nothing to say.
+    ending.handle(ending.silently if 'multiprocessing.spawn' in sys.modules else ending.at_once)
+
+import argparse                                     # noqa: E402, I100
+from contextlib import contextmanager, redirect_stdout, suppress    # noqa: E402
+import importlib                                    # noqa: E402
+import logging                                      # noqa: E402
+import os                                           # noqa: E402
+
+from persem_ros import __version__                  # noqa: E402
+from persem_ros.errors import PersemError           # noqa: E402
+from persem_ros.guard.words import plain, sentence  # noqa: E402
+from persem_ros.settings.config import nearest, settings    # noqa: E402
 
 COMMANDS = ('simulate', 'convert', 'info', 'replay', 'evaluate', 'sweep', 'compare', 'config',
             'map')
 
-DONE, REFUSED, USAGE, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 130, 141
+DONE, REFUSED, USAGE, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, ending.INTERRUPTED, 141
 
 
 def main(argv=None):
@@ -33,15 +41,66 @@ def main(argv=None):
         141 (as for a program that SIGPIPE ends) when the reader of standard output went away.
 
     """
+    alone = argv is None        # a process of its own, not a call
+    if alone:
+        ending.begin()
+        _repair_streams()
     argv = list(sys.argv[1:] if argv is None else argv)
     debug = '--debug' in argv       # wherever it stands, also behind the sub-command
     argv = [word for word in argv if word != '--debug']
-    with _logging(debug):
-        return _status(argv, debug)
+    try:
+        with _logging(debug), redirect_stdout(_Plain(sys.stdout)):
+            status = _status(argv, debug)
+    except KeyboardInterrupt:
+        status = INTERRUPTED
+    if alone:
+        ending.leave(status)
+    return status
+
+
+class _Plain:
+    """A text stream in front of another one: names from files cannot command the terminal."""
+
+    def __init__(self, stream):
+        self._stream = stream
+
+    def write(self, text):
+        """Write a text, control characters escaped."""
+        return self._stream.write(plain(text, lines=True))
+
+    def __getattr__(self, name):
+        return getattr(self._stream, name)
+
+
+def _repair_streams():
+    """Give closed streams a place to go, and let any encoding write any name."""
+    handle = os.open(os.devnull, os.O_RDWR)
+    while handle <= 2:          # lest a file of ours gets the number of a closed stream
+        handle = os.dup(handle)
+    os.close(handle)
+    for name in ('stdin', 'stdout', 'stderr'):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, 'r' if name == 'stdin' else 'w'))
+        elif name != 'stdin' and hasattr(stream, 'reconfigure'):
+            stream.reconfigure(errors='backslashreplace')
 
 
 def _status(argv, debug):
     """Run *argv* and return the exit status; everything that goes wrong ends here."""
+    try:
+        return _run(argv, debug)
+    except KeyboardInterrupt:
+        pass
+    except BaseException:
+        if not ending.interrupted():
+            raise
+    _say('interrupted')
+    return INTERRUPTED
+
+
+def _run(argv, debug):
+    """Run *argv*; an interrupt comes through, also one that was taken for a fault of a file."""
     try:
         args = _parsed(argv)
         status = args.run(args)
@@ -49,13 +108,20 @@ def _status(argv, debug):
         return DONE if status is None else status
     except SystemExit as stop:      # argparse has said what it had to say
         return USAGE if stop.code is None else stop.code
-    except KeyboardInterrupt:
-        _say('interrupted')
-        return INTERRUPTED
     except BrokenPipeError:
         # Python flushes standard output once more at exit, which must not fail as well.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return PIPE_CLOSED
+    except Exception as error:
+        if ending.interrupted():
+            raise
+        return _fault(error, debug)
+
+
+def _fault(error, debug):
+    """Say what went wrong and return the exit status."""
+    try:
+        raise error
     except PersemError as error:
         return _failed(str(error), debug)
     except OSError as error:
@@ -118,25 +184,44 @@ def _parser(argv):
     return parser
 
 
-def _failed(sentence, debug):
-    """Say *sentence* on one line, with the traceback before it under --debug; return 1."""
+def _failed(text, debug):
+    """Say *text* on one line, with the traceback before it under --debug; return 1."""
     if debug:
         logging.getLogger(__name__).exception('traceback')
-    _say(sentence)
+    _say(text)
     return REFUSED
 
 
-def _say(sentence):
+def _say(text):
     """Write one line on standard error."""
-    print(f'persem: {" ".join(sentence.split())}', file=sys.stderr)
+    with suppress(OSError, ValueError):     # nobody reads it
+        print(f'persem: {sentence(text)}', file=sys.stderr)
+
+
+class _Formatter(logging.Formatter):
+    """One line a record, control characters escaped; tracebacks keep their lines."""
+
+    def format(self, record):   # noqa: A003
+        """Return the record as text."""
+        text = super().format(record)
+        return plain(text, lines=True) if record.exc_info else sentence(text)
+
+
+class _Handler(logging.StreamHandler):
+    """Standard error, which somebody may have closed."""
+
+    def handleError(self, record):      # noqa: N802
+        """Pass over a stream that is gone."""
+        if not isinstance(sys.exc_info()[1], OSError):
+            super().handleError(record)
 
 
 @contextmanager
 def _logging(debug):
     """Show our own log records on standard error, one line each, for as long as this lasts."""
     logger = logging.getLogger('persem_ros')
-    handler = logging.StreamHandler()
-    handler.setFormatter(logging.Formatter('persem: %(message)s'))
+    handler = _Handler()
+    handler.setFormatter(_Formatter('persem: %(message)s'))
     level = logger.level
     logger.addHandler(handler)
     logger.setLevel(logging.DEBUG if debug else logging.INFO)

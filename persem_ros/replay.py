@@ -44,7 +44,7 @@ class Replay:
     ----------
     recording : persem_ros.inputs.recording.sessions.Sessions
     folder : Path
-        Where the results go; ready (outputs.results.rundir.prepare).
+        Where the results go (outputs.results.rundir.building).
     config : persem_ros.settings.config.Config
     methods : sequence of str
         Methods to be measured; refine.method is among them.
@@ -194,11 +194,10 @@ class Replay:
         return RefinedWriter(self.folder / 'refined', self.legend, self.config, self.watch)
 
     def _write_map(self):
-        """Write map.ply, map.persem and the settings, in place of those of an earlier run."""
+        """Write map.ply, map.persem and the settings."""
         with self.watch('write map'):
             memory = self.pipeline.memory
             self.points = map_points(memory.voxels(), memory.voxel_size, self.legend)
-            rundir.clear(self.folder)
             write_text(self.folder / 'config.yaml', config_file.to_yaml(self.config))
             write_ply(self.folder / 'map.ply', self.points, map_comments(
                 self.config.frames.map, memory.origin, memory.voxel_size))
@@ -264,11 +263,11 @@ def replay(path, out, config, methods=None, causal=False, force=False, watchers=
         config = recording.recordings[-1].config    # with what the looks before took over
         memory = start_map(config)
         inputs = [part for given in paths for part in finding.split(given)]
-        folder = rundir.prepare(out, force, keep=(*inputs, config.map.path))
-        compile_kernels()
-        watchers = [*watchers, *([ReportWatcher()] if report else [])]
-        job = Replay(recording, folder, config, methods, watchers, memory)
-        return job.run_causal() if causal else job.run()
+        with rundir.building(out, force, keep=(*inputs, config.map.path)) as folder:
+            compile_kernels()
+            watchers = [*watchers, *([ReportWatcher()] if report else [])]
+            job = Replay(recording, folder, config, methods, watchers, memory)
+            return job.run_causal() if causal else job.run()
 
 
 def opened_all(paths: Sequence[str | Path], config: Config,

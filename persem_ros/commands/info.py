@@ -24,6 +24,7 @@ def run(args):
     from tqdm import tqdm
 
     from persem_ros.commands import excerpt_of
+    from persem_ros.guard import limits
     from persem_ros.inputs.recording.excerpt import WHOLE
     from persem_ros.settings import config_file
     from persem_ros.preflight import contents, contents_text, recorded
@@ -35,6 +36,7 @@ def run(args):
     from persem_ros.inputs.recording.topics import Choice
 
     config = config_file.from_args(args.config, args.set_items)
+    limits.use(config.inputs.max_pixels)
     with Source(args.bag) as source:
         total = sum(topic.count for topic in source.topics)
         rows = contents.survey(source, lambda it: tqdm(

@@ -73,6 +73,8 @@ def export(args):
     from persem_ros.outputs.map.cloud import map_points
     from persem_ros.outputs.map.ply import map_comments, write_ply
     from persem_ros.outputs.map.store import load
+    if Path(args.ply).resolve() == Path(args.file).resolve():
+        raise PersemError(f'{args.ply} is the map itself; give another name with --ply')
     if Path(args.ply).is_file() and not args.force:
         raise PersemError(f'{args.ply} exists; give another name with --ply, or --force to '
                           'replace it')

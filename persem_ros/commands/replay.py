@@ -24,7 +24,8 @@ def add_parser(subparsers):
     parser.add_argument('--causal', action='store_true',
                         help='render each frame from the map as it stood then, as a node does')
     parser.add_argument('--force', action='store_true',
-                        help='replace the files of an earlier run in DIR')
+                        help='replace the files of an earlier run in DIR, when the new ones are '
+                             'whole; and FILE of --figure and --rerun')
     parser.add_argument('--rerun', metavar='FILE.rrd',
                         help='log camera, images and the growing map for the Rerun viewer as well '
                              "(pip install 'persem_ros[viewer]')")
@@ -40,10 +41,17 @@ def run(args):
     from contextlib import ExitStack
     from pathlib import Path
     from persem_ros.commands import excerpt_of
+    from persem_ros.inputs.recording.finding import split
+    from persem_ros.outputs.results.rundir import check_extra, FILES
     from persem_ros.settings import config_file
     from persem_ros.replay import replay
     config = config_file.from_args(args.config, args.set_items)
     methods = [name.strip() for name in (args.methods or '').split(',') if name.strip()]
+    used = (*(part for bag in args.bags for part in split(bag)), config.map.path,
+            *(Path(args.out, name) for name in FILES))
+    for option, path in (('--figure', args.figure), ('--rerun', args.rerun)):
+        if path:
+            check_extra(path, option, args.force, used)
     with ExitStack() as stack:
         truth = _Truth()
         watchers = [truth]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.convert.files import numbers_of, read_lines, read_text
 from persem_ros.errors import PersemError
-import yaml
+from persem_ros.guard import yaml_text
 
 COUNTS = dict(enumerate(('none', 'one', 'two', 'three', 'four', 'five', 'six')))
 EXPECTED = 'expected 4 numbers (fx fy cx cy), a 3x3 or a 4x4 matrix'
@@ -101,12 +101,12 @@ def _words(text: str) -> list[str]:
 def _ros_calibration(path: Path) -> Intrinsics | None:
     """Return the Intrinsics of a camera_calibration YAML file."""
     try:
-        content = yaml.safe_load(read_text(path))
+        content = yaml_text.load(read_text(path), str(path), yaml_text.SETTINGS)
         K = np.array(content['camera_matrix']['data'], float).reshape(3, 3)
         D = np.array(content['distortion_coefficients']['data'], float).reshape(-1)
         size = int(content['image_width']), int(content['image_height'])
         model = str(content['distortion_model'])
-    except (yaml.YAMLError, KeyError, TypeError, ValueError):
+    except (PersemError, KeyError, TypeError, ValueError):
         raise PersemError(f'{path}: expected a ROS camera calibration with image_width, '
                           'image_height, camera_matrix, distortion_model and '
                           'distortion_coefficients') from None

@@ -86,7 +86,7 @@ def evaluate(recordings: list[Path | str], out: Path | str, config: Config,
              for name, path in paths.items()}
     frames = {name: check(task) for name, task in tasks.items()}
     folder = prepare(out, request_of(next(iter(tasks.values()))), force)
-    results = compute({folder / 'sequences' / name: task for name, task in tasks.items()},
+    results = compute(folder, {folder / 'sequences' / name: task for name, task in tasks.items()},
                       workers, scheduler, list(frames.values()))
     results = {path.name: result for path, result in results.items()}
     warn(results)
@@ -113,13 +113,14 @@ def write(folder: Path, evaluation: dict[str, Any]) -> None:
 
 
 def compute(
-        tasks: dict[Path, Task], workers: int = 0, scheduler: str = '',
+        out: Path, tasks: dict[Path, Task], workers: int = 0, scheduler: str = '',
         frames: list[int] | None = None
 ) -> dict[Path, tuple[dict[str, Any], dict[str, NDArray[np.int64]]]] | None:
     """
-    Return {folder: (summary, arrays)} of tasks by their folder, in their order.
+    Return {folder: (summary, arrays)} of tasks by their folder in *out*, in their order.
 
-    Results that lie there are taken, the others computed and saved at once.
+    Results that lie there are taken, the others computed and saved at once. Meanwhile nobody
+    else computes there.
 
     """
     identities = {folder: manifest.identity(task) for folder, task in tasks.items()}
@@ -128,11 +129,12 @@ def compute(
     if len(missing) < len(tasks):
         log.info('%d of %d are finished already', len(tasks) - len(missing), len(tasks))
     by_folder = dict(zip(tasks, frames or [1] * len(tasks)))
-    for place, summary, arrays in jobs.results(
-            [tasks[f] for f in missing], workers, scheduler, [by_folder[f] for f in missing]):
-        folder = missing[place]
-        manifest.save(folder, identities[folder], summary, arrays)
-        found[folder] = summary, arrays
+    with rundir.locked(out):
+        for place, summary, arrays in jobs.results(
+                [tasks[f] for f in missing], workers, scheduler, [by_folder[f] for f in missing]):
+            folder = missing[place]
+            manifest.save(folder, identities[folder], summary, arrays)
+            found[folder] = summary, arrays
     return found
 
 
@@ -164,7 +166,8 @@ def prepare(out: Path | str, request: dict[str, Any], force: bool = False) -> Pa
                           f'({"; ".join(found[:3])}{more}); give another folder with --out, or '
                           '--force to replace it')
     folder.mkdir(parents=True, exist_ok=True)
-    write_json(folder / REQUEST, request)
+    with rundir.locked(folder):
+        write_json(folder / REQUEST, request)
     return folder
 
 

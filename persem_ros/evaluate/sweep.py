@@ -126,7 +126,7 @@ def sweep(recordings: list[Path | str], out: Path | str, config: Config,
             tasks[k, name] = with_values(task, values)
     folders = {place: folder / 'points' / manifest.key_of(manifest.identity(task))
                for place, task in tasks.items()}
-    found = run.compute({folders[place]: task for place, task in tasks.items()}, workers,
+    found = run.compute(folder, {folders[place]: task for place, task in tasks.items()}, workers,
                         scheduler, frames * len(points))
     for k, values in enumerate(points):
         at = ', '.join(f'{name}={_plain(value)}' for name, value in values.items())

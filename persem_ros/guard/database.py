@@ -14,7 +14,7 @@ from typing import Any
 from urllib.parse import quote
 
 LONGEST = 1 << 30           # bytes of one value: SQLite's own default limit
-STEPS = 100_000_000         # steps of SQLite's machine that every file may take
+STEPS = 20_000_000         # steps of SQLite's machine that every file may take
 STEPS_A_BYTE = 50           # and that each of its bytes adds: rows of 8 bytes take 20 to 40
 PER_CALL = 100_000          # steps between two looks at what is left
 LIMIT_LENGTH = 0            # sqlite3.SQLITE_LIMIT_LENGTH, which Python 3.10 does not name
@@ -34,12 +34,17 @@ def opened(path: str | Path, check_same_thread: bool = True) -> sqlite3.Connecti
     path = Path(path)
     db = sqlite3.connect(f'file:{quote(str(path.resolve()))}?mode=ro&immutable=1', uri=True,
                          check_same_thread=check_same_thread)
+    harden(db)
+    limit_steps(db, path.stat().st_size)
+    return db
+
+
+def harden(db: sqlite3.Connection) -> None:
+    """Let nothing in the schema call functions, and no value be longer than LONGEST."""
     db.execute('PRAGMA trusted_schema = OFF')
     db.execute('PRAGMA cell_size_check = ON')
     if hasattr(db, 'setlimit'):         # Python 3.11
         db.setlimit(LIMIT_LENGTH, LONGEST)
-    limit_steps(db, path.stat().st_size)
-    return db
 
 
 def limit_steps(db: sqlite3.Connection, size: int) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from shlex import quote
 
 from persem_ros.errors import PersemError
+from persem_ros.guard import limits
 from persem_ros.inputs.recording.excerpt import Excerpt, WHOLE
 from persem_ros.inputs.recording.recording import Recording
 from persem_ros.inputs.recording.source import Source
@@ -77,6 +78,7 @@ def opened(path: str | Path, config: Config, quiet: bool = False,
         what to type.
 
     """
+    limits.use(config.inputs.max_pixels)
     source = Source(path)
     try:
         choice = Choice(source, config)

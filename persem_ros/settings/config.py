@@ -9,6 +9,7 @@ import math
 from typing import Any
 
 from persem_ros.errors import PersemError
+from persem_ros.guard.words import short
 
 METHODS = ('majority', 'unweighted', 'recency', 'consensus', 'probabilistic',
            'trust', 'context', 'history', 'context_history', 'persem', 'geometry')
@@ -293,6 +294,15 @@ class Map:
 
 
 @dataclass(frozen=True)
+class Inputs:
+    """What is taken from topics and recordings at all."""
+
+    max_pixels: int = setting(
+        64_000_000, 'larger images are refused before they are decoded, as are messages and '
+        'chunks that unpack to more than 16 bytes for each', 'pixels', 1, 1 << 32)
+
+
+@dataclass(frozen=True)
 class Ema:
     """Image-space smoothing, a baseline."""
 
@@ -339,6 +349,7 @@ class Config:
     points: Points = Points()
     qos: Qos = Qos()
     map: Map = Map()    # noqa: A003
+    inputs: Inputs = Inputs()
     ema: Ema = Ema()
     labels: Labels = Labels()
     cameras: tuple[Any, ...] = setting(
@@ -387,7 +398,7 @@ def updated(config: Config, values: dict[str, Any]) -> Config:
         if name == 'cameras':
             continue
         if name not in known:
-            raise PersemError(f'unknown setting {name!r}{nearest(name, known)}; '
+            raise PersemError(f'unknown setting {short(name)}{nearest(name, known)}; '
                               "'persem config' lists all settings")
         config = _with(config, name.split('.'), _checked(name, value, *known[name]))
     _check_together(config)
@@ -396,9 +407,10 @@ def updated(config: Config, values: dict[str, Any]) -> Config:
 
 def nearest(name: str, known: Sequence[str] | dict[str, Any]) -> str:
     """Return ", did you mean 'x'?" for the name in *known* that is nearest, or ''."""
-    near = difflib.get_close_matches(str(name), [str(k) for k in known], n=1, cutoff=0.5)
+    name = str(name)[:200] if isinstance(name, (str, int, float)) else ''
+    near = difflib.get_close_matches(name, [str(k) for k in known], n=1, cutoff=0.5)
     if not near:
-        tail = str(name).rpartition('.')[2]
+        tail = name.rpartition('.')[2]
         near = [k for k in known if str(k).rpartition('.')[2] == tail][:1]
     return f', did you mean {near[0]!r}?' if near else ''
 
@@ -431,25 +443,25 @@ def _checked(name: str, value: Any, default: Any, meta: Any) -> Any:
             result = tuple(_checked(name, item, default[0], {}) for item in value)
         except TypeError:
             raise PersemError(f'{name}: expected a list of {MANY[inner]}, for example '
-                              f'{list(default)}, got {value!r}') from None
+                              f'{list(default)}, got {short(value)}') from None
         if name in ('map.origin', 'pose.extrinsic') and len(result) != len(default):
             raise PersemError(f'{name}: expected {len(default)} numbers, got {len(result)}')
         return result or default[:0]
     if kind is float and type(value) is int:
         value = float(value)
     if type(value) is not kind or (kind is float and not math.isfinite(value)):
-        raise PersemError(f'{name}: expected {_words(kind, default, meta)}, got {value!r}')
+        raise PersemError(f'{name}: expected {_words(kind, default, meta)}, got {short(value)}')
     if name == 'refine.method' and value in IMAGE_METHODS:
         raise PersemError(f'{name}: {" and ".join(IMAGE_METHODS)} need no map and refine none; '
                           f"'persem replay' measures them with --methods {value}; expected one "
                           f'of {", ".join(METHODS)}')
     if meta.get('choices') and value not in meta['choices']:
         raise PersemError(f'{name}: expected one of {", ".join(meta["choices"])}, '
-                          f'got {value!r}{nearest(value, meta["choices"])}')
+                          f'got {short(value)}{nearest(value, meta["choices"])}')
     low, high = meta.get('low'), meta.get('high')
     if (low is not None and value < low) or (high is not None and value > high):
         unit = f' {meta["unit"]}' if meta.get('unit') else ''
-        raise PersemError(f'{name}: expected {low} to {high}{unit}, got {value!r}')
+        raise PersemError(f'{name}: expected {low} to {high}{unit}, got {short(value)}')
     return value
 
 

@@ -7,6 +7,7 @@ import textwrap
 from typing import Any, TYPE_CHECKING
 
 from persem_ros.errors import PersemError
+from persem_ros.guard.words import sentence, short
 from persem_ros.settings.config import Config, nearest, settings, updated
 from persem_ros.settings.parameter_file import parse, read, read_text, scalar
 
@@ -105,7 +106,7 @@ def _applied(entries: dict[str, Any], path: Path | str, config: Config | None) -
         text = str(error)
         # One bad name or value has its own line; the sentence starts with it or quotes it.
         lines = [line for name, (_, line) in entries.items()
-                 if text.startswith(f'{name}:') or repr(name) in text.partition(',')[0]]
+                 if text.startswith(f'{name}:') or short(name) in text.partition(',')[0]]
         place = f'{path}, line {lines[0]}' if lines else str(path)
         raise PersemError(f'{place}: {text}') from None
 
@@ -119,13 +120,14 @@ def parse_item(item: str) -> tuple[str, Any] | None:
 
     """
     name, equals, text = item.partition('=')
+    shown = sentence(item)
     name, text = name.strip(), text.strip()
     if not equals or not name:
-        raise PersemError(f'--set {item}: expected name=value, for example memory.voxel_size=0.2')
+        raise PersemError(f'--set {shown}: expected name=value, for example memory.voxel_size=0.2')
     known = {n: value for n, value, _ in settings()}
     default = known.get(name, '' if name.startswith('cameras.') else None)
     if default is None:
-        raise PersemError(f'--set {item}: unknown setting {name!r}{nearest(name, known)}; '
+        raise PersemError(f'--set {shown}: unknown setting {short(name)}{nearest(name, known)}; '
                           "'persem config' lists all settings")
     if isinstance(default, str):
         return name, text
@@ -134,7 +136,7 @@ def parse_item(item: str) -> tuple[str, Any] | None:
     try:
         return name, parse(text)
     except ValueError:
-        raise PersemError(f'--set {item}: cannot be read; lists are written [1, 2]') from None
+        raise PersemError(f'--set {shown}: cannot be read; lists are written [1, 2]') from None
 
 
 def to_yaml(config: Config, left_out: set[str] | tuple[Any, ...] = ()) -> str:

@@ -9,6 +9,8 @@ import re
 from typing import Any
 
 from persem_ros.errors import PersemError
+from persem_ros.guard.words import sentence, short
+from persem_ros.guard.yaml_text import check, SETTINGS
 import yaml
 
 NODE = 'mapper'
@@ -36,7 +38,8 @@ _Loader.add_implicit_resolver(
 def read(path: Path) -> dict[str, Any] | None:
     """Return {dotted name: (value, line)} of a YAML file in ROS form."""
     try:
-        text = Path(path).read_text(encoding='utf-8')
+        with open(path, encoding='utf-8') as file:
+            text = file.read(SETTINGS.size + 1)     # more than that is refused below
     except OSError as error:
         raise PersemError(f'{path}: cannot be read ({error.strerror}); expected a YAML file in '
                           "ROS form, 'persem config' prints one") from None
@@ -64,19 +67,22 @@ def read_text(text: str, path: Path | str) -> dict[str, Any] | None:
 
     """
     try:
+        check(text, SETTINGS, _Loader)
         root = yaml.compose(text, _Loader)
-    except (yaml.YAMLError, RecursionError) as error:
+    except yaml.YAMLError as error:
         mark = getattr(error, 'problem_mark', None)
         line = f', line {mark.line + 1}' if mark else ''
         problem = getattr(error, 'problem', None) or 'not text'
         raise PersemError(f'{path}{line}: not YAML: {problem}') from None
+    except (ValueError, RecursionError) as error:
+        raise PersemError(f'{path}: not settings: {error}') from None
     sections = list(_sections(root, '', path)) if root is not None else []
     if not sections:
         raise PersemError(f"{path}: expected '/**:' and below it 'ros__parameters:', found "
                           "neither; 'persem config' prints a file to start from")
     ours = [(name, node) for name, node in sections if _is_ours(name)]
     if not ours:
-        found = ', '.join(name for name, _ in sections)
+        found = sentence(', '.join(name for name, _ in sections[:5]))
         raise PersemError(f"{path}: expected settings for '/**' or '{NODE}', "
                           f'found only those of {found}')
     entries = {}
@@ -89,8 +95,10 @@ def read_text(text: str, path: Path | str) -> dict[str, Any] | None:
 def parse(text: str) -> Any:
     """Return one value written in YAML; ValueError where it is none."""
     try:
+        check(text, SETTINGS, _Loader)
         return yaml.load(text, _Loader)     # a SafeLoader: values only, no objects
-    except yaml.YAMLError as error:
+    # Tags with values that they do not fit (!!int "") raise almost anything.
+    except Exception as error:
         raise ValueError(str(error)) from None
 
 
@@ -110,6 +118,8 @@ def _sections(node: Any, path: str, file: Path) -> Iterator[tuple[str, Any]]:
     if not isinstance(node, yaml.MappingNode):
         return
     for key, value in node.value:
+        if not isinstance(key, yaml.ScalarNode):
+            continue
         if key.value == 'ros__parameters':
             if not isinstance(value, yaml.MappingNode):
                 raise PersemError(f'{file}, line {key.start_mark.line + 1}: expected settings '
@@ -128,14 +138,19 @@ def _flat(node: Any, prefix: str, file: Path) -> dict[str, Any]:
     """Return {dotted name: (value, line)} of a mapping node."""
     entries: dict[Any, Any] = {}
     for key, value in node.value:
-        name, line = f'{prefix}{key.value}', key.start_mark.line + 1
+        line = key.start_mark.line + 1
+        if not isinstance(key, yaml.ScalarNode):
+            raise PersemError(f'{file}, line {line}: expected a name before the colon')
+        name = f'{prefix}{key.value}'
         if isinstance(value, yaml.MappingNode):
             below = _flat(value, f'{name}.', file)
         else:
             try:
                 below = {name: (_Loader('').construct_object(value, deep=True), line)}
-            except yaml.YAMLError as error:
-                raise PersemError(f'{file}, line {line}: {name}: {error.problem}') from None
+            # Tags with values that they do not fit (!!int "") raise almost anything.
+            except Exception as error:
+                why = getattr(error, 'problem', None) or str(error) or type(error).__name__
+                raise PersemError(f'{file}, line {line}: {short(name)}: {sentence(why)}') from None
         twice = sorted(set(below) & set(entries))
         if twice:
             raise PersemError(f'{file}, line {line}: {twice[0]} is given twice, first in line '

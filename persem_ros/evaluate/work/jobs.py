@@ -175,6 +175,7 @@ def _start_worker(done: Any) -> None:
     global _done
     _done = done
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
     sequence.one_thread()
 
 

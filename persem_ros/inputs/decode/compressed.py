@@ -11,12 +11,14 @@ import re
 import cv2
 import numpy as np
 from persem_ros.core.jit import cached
+from persem_ros.guard.limits import too_many_pixels
 
 HEADER = 12         # compressedDepth: int32 format, float32 A, float32 B
 INTEGERS = ('16UC1', 'mono16')
 # Depth without that header.
 PLAIN = ('png', *(f'{name.lower()}; {how}' for name in INTEGERS
                   for how in ('png', 'png compressed')))
+PEEK = 64           # bytes that hold the size of a PNG
 SIZE = 8            # RVL: uint32 columns, uint32 rows
 
 
@@ -108,6 +110,7 @@ def _deep(form, data):
 
 def _imdecode(data, flags, form):
     """Decode with OpenCV, which answers None or throws at damaged data."""
+    check_pixels(*pixels_of(data))
     try:
         image = cv2.imdecode(data, flags) if data.size else None
     except cv2.error:
@@ -119,6 +122,34 @@ def _imdecode(data, flags, form):
     return image
 
 
+def pixels_of(data):
+    """
+    Return (width, height) as the header of a PNG or JPEG says, (0, 0) where it says nothing.
+
+    What does not begin as one of these is refused: OpenCV would try a dozen other decoders.
+
+    """
+    head = data[:PEEK].tobytes()
+    if head[:8] == b'\x89PNG\r\n\x1a\n':
+        return int.from_bytes(head[16:20], 'big'), int.from_bytes(head[20:24], 'big')
+    if head[:2] != b'\xff\xd8':
+        raise ValueError('damaged compressed image', 'a compressed image is neither PNG nor JPEG')
+    at, data = 2, data.tobytes()
+    while at + 9 <= len(data) and data[at] == 0xff:     # segments up to the frame header
+        if 0xc0 <= data[at + 1] <= 0xcf and data[at + 1] not in (0xc4, 0xc8, 0xcc):
+            return int.from_bytes(data[at + 7:at + 9], 'big'), \
+                int.from_bytes(data[at + 5:at + 7], 'big')
+        at += 1 if data[at + 1] == 0xff else 2 + int.from_bytes(data[at + 2:at + 4], 'big')
+    raise ValueError('damaged compressed image', 'a JPEG image says nothing of its size')
+
+
+def check_pixels(width, height):
+    """Refuse an image that is larger than inputs.max_pixels allows, before it is decoded."""
+    sentence = too_many_pixels(int(width), int(height))
+    if sentence:
+        raise ValueError('too many pixels', sentence)
+
+
 def _rvl_image(body):
     """Decode the part of an RVL message that follows the header."""
     columns, rows = (int(x) for x in body[:SIZE].copy().view('<u4')) if body.size >= SIZE \
@@ -126,8 +157,7 @@ def _rvl_image(body):
     nibbles = 2 * (body.size - SIZE)
     if not columns * rows:
         raise ValueError('zero size', f'an RVL image has the size {columns} x {rows}')
-    if columns * rows > 1 << 28:
-        raise ValueError('damaged RVL data', f'an RVL image says it has {columns} x {rows} pixels')
+    check_pixels(columns, rows)
     image = np.empty(columns * rows, np.uint16)
     if not rvl_decode(np.ascontiguousarray(body[SIZE:]), nibbles, image):
         raise ValueError('damaged RVL data', f'an RVL image of {columns} x {rows} pixels ends '

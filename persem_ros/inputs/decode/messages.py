@@ -304,6 +304,10 @@ def _rows(msg, row_bytes):
     height, step = msg.height, msg.step
     if not (height and row_bytes):
         raise BadMessage('zero size', f'an image has the size {msg.width} x {height}')
+    try:
+        compressed.check_pixels(msg.width, height)
+    except ValueError as error:
+        raise BadMessage(*error.args) from None
     if step < row_bytes:
         raise BadMessage('row shorter than width', f'an image of width {msg.width} and encoding '
                          f'{msg.encoding} has a step of {step} bytes, expected {row_bytes}')

@@ -7,6 +7,7 @@ by the summary at its end only where it spares a walk: so a file without an end 
 """
 
 from array import array
+from bisect import bisect_right
 from collections import Counter, OrderedDict
 from collections.abc import Collection, Iterator
 import os
@@ -83,6 +84,7 @@ class McapFile:
             self._cache: OrderedDict[int, bytes] = OrderedDict()
             self._good: set[int] = set()        # chunks whose checksum was found right
             self._bad: set[int] = set()
+            self._starts: list[int] | None = None       # of chunks, as the summary says
             if self._get(0, len(MAGIC)) != MAGIC:
                 raise ValueError('no mcap file')
             self._scan()
@@ -184,9 +186,9 @@ class McapFile:
                     raise ValueError('checksum')
                 self._good.add(k)
         # Damaged bytes make the decompressors raise exceptions of their own.
-        except Exception:
+        except Exception as error:
             self._bad.add(k)
-            self._note('damaged inside')
+            self._note(str(error) if isinstance(error, packing.TooLarge) else 'damaged inside')
             return b''
         self._cache[k] = content
         kept = sum(map(len, self._cache.values()))
@@ -218,9 +220,12 @@ class McapFile:
 
     def _resumed(self, at: int) -> int:
         """Return where the next chunk begins behind a damaged record; the end if unknown."""
-        later = [start for kind, start in self._summary_chunks() if start > at]
-        self._note('damaged' if later else 'cut off')
-        return min(later, default=self._end)
+        if self._starts is None:        # once: there may be as many damaged records as chunks
+            self._starts = sorted(start for _, start in self._summary_chunks())
+        place = bisect_right(self._starts, at)
+        found = place < len(self._starts)
+        self._note('damaged' if found else 'cut off')
+        return self._starts[place] if found else self._end
 
     def _summary(self) -> Iterator[tuple[int, bytes]]:
         """Yield (kind, content) of the records behind the data, none where the end is lost."""
@@ -252,6 +257,10 @@ class McapFile:
         if compression not in packing.KINDS:
             self._note(f'compressed by {compression[:20]!r}, which is not known here')
             return
+        # Chunks lie one behind the other: what reaches into the next would be read over and over.
+        stored = min(stored, max(0, size - at - 8))
+        if not compression:
+            length = min(length, stored)
         self._chunks.append(Chunk(start, start + 9 + at + 8, stored, length,
                                   int.from_bytes(crc, 'little'), compression))
 

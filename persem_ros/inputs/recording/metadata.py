@@ -4,10 +4,10 @@ from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
-import yaml
+from persem_ros.errors import PersemError
+from persem_ros.guard import yaml_text
 
 NAME = 'metadata.yaml'
-LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
 LONGEST = 16 << 20          # bytes; some thousand split files make one
 
 
@@ -41,7 +41,7 @@ def read(path: Path) -> Metadata:
     try:
         if path.stat().st_size > LONGEST:
             raise ValueError(f'larger than {LONGEST >> 20} MB')
-        content = yaml.load(path.read_text(encoding='utf-8'), LOADER)
+        content = yaml_text.load(path.read_text(encoding='utf-8'), NAME, yaml_text.RECORDING)
         info = content['rosbag2_bagfile_information']
         # The first versions of rosbag2 put the folder's name before the file's.
         found.files = [_name(path) for path in info['relative_file_paths']]
@@ -51,11 +51,11 @@ def read(path: Path) -> Metadata:
             found.by_file[_name(row['path'])] = int(row['message_count'])
     except OSError as error:
         found.fault = error.strerror or 'cannot be read'
-    except yaml.YAMLError as error:
-        found.fault = ' '.join(str(getattr(error, 'problem', '') or error).split())[:120]
-    except (ValueError, RecursionError) as error:
+    except PersemError as error:
+        found.fault = str(error).partition(': ')[2][:120]
+    except ValueError as error:
         found.fault = ' '.join(str(error).split())[:120]
-    except (KeyError, TypeError, AttributeError):
+    except (KeyError, TypeError, AttributeError, OverflowError):
         found.fault = 'it has not the form of rosbag2'
     return found
 

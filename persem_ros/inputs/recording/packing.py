@@ -2,19 +2,39 @@
 
 from pathlib import Path
 
+import lz4.frame
 from persem_ros.errors import PersemError
+from persem_ros.guard.limits import max_bytes, too_many_bytes
 # With the library for Zstandard that rosbags itself reads with: it has two names, by Python.
 from rosbags.rosbag2.storage_mcap import DECOMPRESSORS, zstd
 
 ZSTD = b'\x28\xb5\x2f\xfd'
 KINDS = frozenset(DECOMPRESSORS)    # '' among them: stored as it is
 PIECE = 1 << 20         # bytes that are decompressed at once
+SMALL = 1 << 30         # bytes that any file may unpack to
+RATIO = 200             # and how many times its size a larger one may
 SUFFIXES = ('.zstd', '.zst')        # of files that are compressed as a whole
 
 
+class TooLarge(ValueError):
+    """What unpacks to more than it may: a sentence that names the limit."""
+
+
 def unpacked(kind: str, data: bytes, size: int) -> bytes:
-    """Return the content of a chunk of *size* bytes that is compressed as *kind* says."""
-    return DECOMPRESSORS[kind](data, size)
+    """
+    Return the content of a chunk of *size* bytes that is compressed as *kind* says.
+
+    Never more than it says of itself, and never more than inputs.max_pixels allows: TooLarge.
+
+    """
+    if sentence := too_many_bytes('a chunk', size):
+        raise TooLarge(sentence)
+    if kind == '':
+        return data
+    content = _bounded(kind, data, size + 1)
+    if len(content) > size:
+        raise TooLarge(f'a chunk unpacks to more than the {size} bytes that it speaks of')
+    return content
 
 
 def message(data: bytes) -> bytes:
@@ -25,7 +45,24 @@ def message(data: bytes) -> bytes:
     begins as Zstandard does.
 
     """
-    return zstd.decompress(data) if data[:4] == ZSTD else data
+    if data[:4] != ZSTD:
+        return data
+    content = _bounded('zstd', data, max_bytes() + 1)
+    if sentence := too_many_bytes('a message', len(content)):
+        raise TooLarge(sentence)
+    return content
+
+
+def _bounded(kind: str, data: bytes, most: int) -> bytes:
+    """Return what data unpack to, its first *most* bytes; EOFError where they are cut off."""
+    content = b''
+    while data and len(content) < most:     # some write one frame after another
+        state = zstd.ZstdDecompressor() if kind == 'zstd' else lz4.frame.LZ4FrameDecompressor()
+        content += state.decompress(data, most - len(content))
+        if len(content) < most and not state.eof:
+            raise EOFError('the data end too early')
+        data = state.unused_data or b'' if state.eof else b''
+    return content
 
 
 def unpack_file(packed: Path, target: Path) -> None:
@@ -40,15 +77,24 @@ def unpack_file(packed: Path, target: Path) -> None:
         Where there is no room for it.
 
     """
+    room = max(SMALL, RATIO * packed.stat().st_size)
+
+    def write(piece: bytes) -> None:
+        if out.tell() + len(piece) > room:
+            raise PersemError(
+                f'{packed} unpacks to more than {room} bytes, {RATIO} times its size; if it is '
+                f'meant to, unpack it (zstd -d) and give the folder without {packed.name}')
+        out.write(piece)
+
     try:
         with packed.open('rb') as source, target.open('wb') as out:
             state, piece = zstd.ZstdDecompressor(), b''
             while piece or (piece := source.read(PIECE)):
                 if state.eof:           # some write one frame after another
                     state = zstd.ZstdDecompressor()
-                out.write(state.decompress(piece, PIECE))
+                write(state.decompress(piece, PIECE))
                 while not state.eof and not state.needs_input:
-                    out.write(state.decompress(b'', PIECE))
+                    write(state.decompress(b'', PIECE))
                 piece = state.unused_data if state.eof else b''
             if not state.eof:
                 raise EOFError('the file ends too early')

@@ -3,6 +3,7 @@
 from collections import Counter
 
 from persem_ros.errors import PersemError
+from persem_ros.guard import limits
 from persem_ros.inputs import names
 from persem_ros.inputs.assemble import Assembler
 from persem_ros.inputs.decode import messages
@@ -63,6 +64,7 @@ class Recording:
 
     def __init__(self, path, config, source=None, excerpt=WHOLE):
         """Open the recording, choose topics, read static transforms and camera infos."""
+        limits.use(config.inputs.max_pixels)
         self.source = source or Source(path)
         self.path, self.name = self.source.path, self.source.name
         self.excerpt = excerpt

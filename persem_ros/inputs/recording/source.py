@@ -181,6 +181,11 @@ class Source:
         data = self._files[file].read(place)
         try:
             return packing.message(data)
+        except packing.TooLarge as error:
+            note = f'{self._files[file].path.name}: {error}'
+            if note not in self._notes:
+                self._notes.append(note)
+            return b''
         # Zstandard's own exception, and whatever else damaged bytes lead to.
         except Exception:
             return b''

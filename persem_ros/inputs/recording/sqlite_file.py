@@ -10,9 +10,18 @@ from tempfile import TemporaryDirectory
 from typing import Any
 from urllib.parse import quote
 
+from persem_ros.guard.database import columns_of, harden, limit_steps, Unsafe
 from persem_ros.inputs.recording.channels import Channel
 from persem_ros.inputs.recording.packing import ZSTD
 from persem_ros.inputs.recording.stamps import HEAD
+
+NEEDED = {'topics': {'id', 'name', 'type', 'serialization_format'},
+          'messages': {'id', 'topic_id', 'timestamp', 'data'}}
+# Only bytes: of a text or NULL in their place nothing is read.
+ONE = """SELECT data FROM messages WHERE id = ? AND typeof(data) = 'blob'"""
+SIZES = """SELECT CASE typeof(data) WHEN 'blob' THEN length(data) ELSE 0 END FROM messages"""
+
+CUT = 64                # times what is left of a file that its messages may have been
 
 
 class SqliteFile:
@@ -81,7 +90,7 @@ class SqliteFile:
     def read(self, place: int) -> bytes:
         """Return the serialized message of a row, b'' where it cannot be read."""
         try:
-            row = self._base.execute('SELECT data FROM messages WHERE id = ?', (place,)).fetchone()
+            row = self._base.execute(ONE, (place,)).fetchone()
         except sqlite3.ProgrammingError:
             raise           # a mistake of ours, not damage
         except sqlite3.Error:
@@ -101,14 +110,41 @@ class SqliteFile:
     def _described(self) -> list[Channel]:
         # Without this SQLite refuses a file that is shorter than its header says.
         self._base.execute('PRAGMA writable_schema=ON')
+        self._check_tables()
         topics = self._base.execute(
             'SELECT id, name, type, serialization_format FROM topics').fetchall()
         counts = Counter(row[0] for row in self._rows('topic_id'))
         return [Channel(number, str(name), str(kind), counts[number], str(form))
                 for number, name, kind, form in topics]
 
+    def _check_tables(self) -> None:
+        """Refuse (ValueError) what no recorder makes: views, computed columns, shared pages."""
+        for table, needed in NEEDED.items():
+            columns = columns_of(self._base, table)
+            if not needed <= set(columns):
+                raise Unsafe(f'no table {table} with {", ".join(sorted(needed))}')
+        # Rows are asked for by id, which must not mean a walk over the whole table each time.
+        keys = [(row[1], row[2].upper()) for row in self._base.execute(
+            'PRAGMA table_info(messages)') if row[5]]
+        if keys != [('id', 'INTEGER')]:
+            raise Unsafe('messages without a key')
+        # A file that is cut off speaks of more than is left of it.
+        held, room = 0, max(self._size(), min(self._stated(), CUT * self._size()))
+        with suppress(sqlite3.Error):       # as far as it goes
+            for size, in self._base.execute(SIZES):
+                held += size
+                if held > room:
+                    raise Unsafe('messages of more bytes than the file has')
+
+    def _size(self) -> int:
+        """Return the bytes of the file and of its log."""
+        folder = self.path.parent if self._copy is None else Path(self._copy.name)
+        names = [self.path] if self._copy is None else list(folder.iterdir())
+        return sum(name.stat().st_size for name in names)
+
     def _rows(self, columns: str) -> Iterator[tuple[Any, ...]]:
         # By row id, not by time: the index on time is the first thing that a cut destroys.
+        limit_steps(self._base, self._size())
         rows = self._base.execute(f'SELECT {columns} FROM messages ORDER BY id')
         while True:
             try:
@@ -124,12 +160,15 @@ class SqliteFile:
 
     def _is_short(self) -> bool:
         """Whether the file has fewer pages than it says; one with a log need not be whole."""
+        return self._copy is None and self.path.stat().st_size < self._stated()
+
+    def _stated(self) -> int:
+        """Return the bytes that the file's header speaks of."""
         with self.path.open('rb') as stream:
             head = stream.read(100)
         page = int.from_bytes(head[16:18], 'big')
         pages = int.from_bytes(head[28:32], 'big') if head[24:28] == head[92:96] else 0
-        size = pages * (65536 if page == 1 else page)
-        return self._copy is None and self.path.stat().st_size < size
+        return pages * (65536 if page == 1 else page)
 
     def _beside_log(self, log: Path) -> sqlite3.Connection:
         """
@@ -166,5 +205,8 @@ class SqliteFile:
 
 
 def _opened(path: Path, mode: str) -> sqlite3.Connection:
-    return sqlite3.connect(f'file:{quote(str(path.absolute()))}?{mode}', uri=True,
+    base = sqlite3.connect(f'file:{quote(str(path.absolute()))}?{mode}', uri=True,
                            check_same_thread=False)
+    harden(base)
+    limit_steps(base, path.stat().st_size)
+    return base

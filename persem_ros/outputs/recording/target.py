@@ -3,7 +3,7 @@
 from pathlib import PurePosixPath
 
 from persem_ros.errors import PersemError
-import yaml
+from persem_ros.guard import yaml_text
 
 METADATA = 'metadata.yaml'
 NAMED = 5       # files in a refusal
@@ -55,9 +55,11 @@ def check_target(path, force=False):
 def _files_of_recording(path):
     """Return the names of a recording's files, its metadata among them; none for another one."""
     try:
-        content = yaml.safe_load((path / METADATA).read_text(encoding='utf-8'))
+        with open(path / METADATA, encoding='utf-8') as file:
+            content = yaml_text.load(file.read(yaml_text.RECORDING.size + 1), METADATA,
+                                     yaml_text.RECORDING)
         listed = content['rosbag2_bagfile_information']['relative_file_paths']
-    except (FileNotFoundError, IsADirectoryError, UnicodeDecodeError, yaml.YAMLError, KeyError,
+    except (FileNotFoundError, IsADirectoryError, UnicodeDecodeError, PersemError, KeyError,
             TypeError):
         return set()
     if not isinstance(listed, list) or not listed:
