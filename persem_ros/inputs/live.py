@@ -73,9 +73,9 @@ class LiveIntake(Intake):
         """Return the ns that depth images take where that is seconds, 0 where it is not."""
         return max((clocks.late for clocks in self._clocks.values()), default=0)
 
-    def add_camera(self, name, poses, companions=()):
+    def add_camera(self, name, poses, companions=(), needed=(DEPTH,)):
         """Add a camera, as in Intake."""
-        station = super().add_camera(name, poses, companions)
+        station = super().add_camera(name, poses, companions, needed)
         self._partners[station] = Partners(KEEP)
         self._clocks[station.assembler] = Clocks(self.config.pose.max_ahead)
         station.sync.on_drop = partial(self._explain_drop, station)
