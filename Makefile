@@ -23,7 +23,8 @@ test: $(VENV)/installed-test
 
 demo: $(VENV)/installed
 	$(RUN) -m persem_ros simulate demo/flight --force
-	$(RUN) -m persem_ros replay demo/flight --out demo/result --force --set 'memory.dynamic_labels=[10]'
+	$(RUN) -m persem_ros replay demo/flight --out demo/result --force --set 'memory.dynamic_labels=[10]' \
+		--methods raw2d,majority,persem,geometry
 
 bench: $(VENV)/installed-bench
 	$(RUN) benchmarks/run.py $(ARGS)

@@ -11,6 +11,7 @@ from persem_ros.core.geometry.ground import NONE, TILE, tiles_of, windowed_minim
 from persem_ros.core.geometry.labelling import label_rows
 from persem_ros.core.geometry.method import places_of, relabel
 from persem_ros.core.memory.voxel_memory import VoxelMemory
+from persem_ros.core.refine.explain import explain
 from persem_ros.core.refine.job import label, refine
 from persem_ros.core.refine.snapshot import take
 from persem_ros.settings.config import Geometry, Refine
@@ -268,3 +269,24 @@ def test_more_than_64_classes():
     finally:
         jit.set_threads(before)
     assert again.voxels()['confidence'].tobytes() == memory.voxels()['confidence'].tobytes()
+
+
+@pytest.mark.parametrize('form', ['dense', 'sparse'])
+def test_an_account_of_a_voxel_is_the_references(form, monkeypatch):
+    if form == 'sparse':
+        monkeypatch.setattr('persem_ros.core.geometry.method.MOST_DENSE', 0)
+    frames = big_flight(4, side=12)
+    memory = memory_of(frames)
+    refine(memory, GEOMETRY)
+    wanted = plain.geometry(histories_of(frames), SIZE, ORIGIN)
+    for row in range(0, len(wanted.voxels), 61):
+        trace = explain(memory, wanted.voxels[row], GEOMETRY)
+        found = trace['geometry']
+        assert trace['label'] == trace['stored_label'] == wanted.labels[row]
+        assert trace['source'] == trace['stored_source']
+        assert found['posterior'] == pytest.approx(
+            dict(zip(wanted.classes, wanted.posterior[row])), abs=1e-6)
+        assert found['height'] == wanted.shape[0][row]
+        assert sum(found['votes'].values()) == pytest.approx(1.0)
+        for part in ('shape', 'cell', 'shifted_cell', 'frequencies'):
+            assert sum(found[part].values()) == pytest.approx(1.0), part

@@ -103,6 +103,19 @@ class Dense:
             Receive the place of the class and its probability.
 
         """
+        where, last, _ = self._rounds(parameters, wanted)
+        split(decide, len(wanted[-1]), wanted[-1], where, last, best, confidence)
+
+    def posterior(self, parameters: Parameters, wanted: list[NDArray[np.int64]],
+                  around: NDArray[np.int64]) -> tuple[NDArray[np.float64], Any]:
+        """Return Q (K,) of the one row of the last round, and the mean of its neighbours'."""
+        where, last, before = self._rounds(parameters, wanted)
+        return (last[where[wanted[-1][0]]].copy(),
+                before[where[around]].mean(axis=0) if len(around) and len(wanted) > 1 else None)
+
+    def _rounds(self, parameters: Parameters, wanted: list[NDArray[np.int64]]) -> tuple[
+            NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]:
+        """Return places of rows, and their Q after the last round and after the one before."""
         votes, groups, taken = self.votes, self.groups, self.taken
         tables = tables_of(parameters, self.settings)
         where = np.full(len(taken.number), -1, np.int32)
@@ -114,7 +127,12 @@ class Dense:
                   taken.block, taken.cell, taken.row, where, before,
                   float(self.settings.smoothing) if number else 0.0, after)
             before, after = after, before
-        split(decide, len(wanted[-1]), wanted[-1], where, before, best, confidence)
+        return where, before, after
+
+
+def looks(total: float, rho: float) -> float:
+    """Return n_v, the effective number of independent looks."""
+    return total / (1.0 + rho * max(total - 1.0, 0.0))
 
 
 def _summed(parts: list[Any]) -> Sums:

@@ -188,6 +188,25 @@ class Sparse:
     def label(self, parameters: SparseParameters, wanted: list[NDArray[np.int64]],
               best: NDArray[np.int64], confidence: NDArray[np.float32]) -> None:
         """Label rows in rounds, as core.geometry.dense.Dense.label does."""
+        where, start, listed, last, _ = self._rounds(parameters, wanted)
+        split(decide, len(wanted[-1]), wanted[-1], where, start, listed, last, best, confidence)
+
+    def posterior(self, parameters: SparseParameters, wanted: list[NDArray[np.int64]],
+                  around: NDArray[np.int64]) -> tuple[NDArray[np.float64], Any]:
+        """Return Q (K,) of the one row of the last round, and the mean of its neighbours'."""
+        where, start, listed, last, before = self._rounds(parameters, wanted)
+
+        def full(row: int, values: NDArray[np.float64]) -> NDArray[np.float64]:
+            Q = np.zeros(len(self.votes.classes))
+            own = slice(start[where[row]], start[where[row] + 1])
+            Q[listed[own]] = values[own]
+            return Q
+
+        theirs = [full(row, before) for row in around] if len(wanted) > 1 else []
+        return full(wanted[-1][0], last), np.mean(theirs, axis=0) if theirs else None
+
+    def _rounds(self, parameters: SparseParameters, wanted: list[NDArray[np.int64]]) -> Any:
+        """Return where, start and list of candidates, Q after the last round and before it."""
         votes, groups, taken, rows = self.votes, self.groups, self.taken, wanted[0]
         tables, likely = self._tables(parameters), self._likely(parameters)
         where = np.full(len(taken.number), -1, np.int64)
@@ -206,7 +225,7 @@ class Sparse:
                   taken.block, taken.cell, taken.row, where, start, listed, before,
                   float(self.settings.smoothing) if number else 0.0, after)
             before, after = after, before
-        split(decide, len(wanted[-1]), wanted[-1], where, start, listed, before, best, confidence)
+        return where, start, listed, before, after
 
     def _likely(self, parameters: SparseParameters) -> NDArray[np.int32]:
         """Return the classes that each shape is most often, (96, 16), ascending."""

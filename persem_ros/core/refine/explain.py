@@ -4,10 +4,13 @@ import math
 
 import numpy as np
 
+from persem_ros.core.geometry.account import account
+from persem_ros.core.geometry.method import GEOMETRY
 from persem_ros.core.memory.blocks import directions
 from persem_ros.core.memory.evidence import TIE
 from persem_ros.core.refine.selection import (
     CANDIDATE, CONTEXT, HISTORY, MAJORITY, METHODS, PROPOSED, TRUST, VERIFIED)
+from persem_ros.core.refine.snapshot import take
 
 
 def explain(memory, voxel, settings):
@@ -34,7 +37,8 @@ def explain(memory, voxel, settings):
         replayed {c: e}; candidate, replay_margin, hard_margin, soft_margin (None where no step
         proposes another label); label and source that follow from all this; stored_label and
         stored_source, what the map has; changed (True where it was observed after the map was
-        refined).
+        refined); geometry, for that method what core.geometry.account.account returns, with
+        parameters fitted to the map as it is.
 
     Raises
     ------
@@ -59,11 +63,15 @@ def explain(memory, voxel, settings):
         'replayed': replayed, 'candidate': None, 'replay_margin': None, 'hard_margin': None,
         'soft_margin': None, 'label': majority, 'source': MAJORITY,
         'stored_label': int(record['label']), 'stored_source': int(record['source']),
-        'changed': memory.changed(voxel)}
+        'changed': memory.changed(voxel), 'geometry': None}
     if n:
         trace['anchor'] = {c: (1 - settings.eta) * shares.get(c, 0.0)
                            + settings.eta * soft.get(c, 0.0) for c in sorted({*shares, *soft})}
         trace['anchor_label'] = argmax(trace['anchor'], majority)
+    if settings.method == 'geometry':
+        found = trace['geometry'] = account(memory, take(memory), number, settings)
+        trace['label'] = found['label']
+        trace['source'] = GEOMETRY if found['label'] != majority else MAJORITY
     if settings.method in METHODS and trace['recurrent']:
         _decide(trace, *METHODS[settings.method], settings)
     return trace

@@ -3,6 +3,9 @@
 from persem_ros.core.memory.evidence import TIE
 from persem_ros.outputs.map.cloud import SOURCES
 
+TILTS = ('upright', 'sloping', 'level', 'of no direction')
+ROUGHNESS = ('smooth', 'rough', 'scattered')
+
 
 def explanation(stored, voxel, trace):
     """
@@ -20,7 +23,9 @@ def explanation(stored, voxel, trace):
     """
     name = names(stored.legend)
     saved, settings = stored.saved, stored.config().refine
-    label, share = trace['stored_label'], trace['shares'].get(trace['stored_label'], 0.0)
+    label = trace['stored_label']
+    share = trace['shares'].get(label, 0.0) if trace['geometry'] is None else \
+        trace['geometry']['posterior'].get(label, 0.0)
     centre = [(i + 0.5) * saved.voxel_size + o for i, o in zip(voxel, saved.origin)]
     lines = [f'voxel {" ".join(str(int(i)) for i in voxel)}, centre '
              f'{" ".join(f"{x:.3f}" for x in centre)} m in {stored.map_frame}',
@@ -28,7 +33,9 @@ def explanation(stored, voxel, trace):
              f'(method {settings.method}), confidence {share:.4f}',
              f'{trace["observations"]} observations, majority label {trace["majority"]} '
              f'{name(trace["majority"])}, {trace["neighbours"]} neighbours', '', 'why']
-    lines += [f'  {sentence}' for sentence in reasons(trace, settings, name)]
+    lines += [f'  {sentence}' for sentence in reasons(trace, settings, name, saved.voxel_size)]
+    if trace['geometry'] is not None:
+        lines += ['', *geometry_table(trace['geometry'], name)]
     lines += ['', *evidence_table(trace, name), '', *history_table(trace, saved.frames, name)]
     return '\n'.join(lines)
 
@@ -38,7 +45,7 @@ def names(legend):
     return lambda c: ''.join(x if x.isprintable() else '?' for x in legend.name(c))
 
 
-def reasons(trace, settings, name):
+def reasons(trace, settings, name, voxel_size):
     """Return the steps from the evidence to the label, a sentence each, with their numbers."""
     majority, result = trace['majority'], []
     most = trace['evidence'][majority]
@@ -46,7 +53,9 @@ def reasons(trace, settings, name):
     result.append(f'majority: {majority} {name(majority)} has the most evidence, {most:.4f}'
                   + (' (the smallest id of a tie)' if tied else ''))
     selective = settings.method in ('trust', 'context', 'history', 'context_history', 'persem')
-    if not selective:
+    if trace['geometry'] is not None:
+        result += _by_geometry(trace['geometry'], voxel_size, name)
+    elif not selective:
         result.append(f'the method {settings.method} fuses the history into one label; '
                       'it has no further steps')
     elif not trace['recurrent']:
@@ -57,10 +66,39 @@ def reasons(trace, settings, name):
     if trace['changed']:
         result.append('observed since the map was last refined: the stored label may be older '
                       'than this trace')
-    elif selective and trace['label'] != trace['stored_label']:
+    elif (selective or trace['geometry']) and trace['label'] != trace['stored_label']:
         result.append(f'this trace ends at {trace["label"]} {name(trace["label"])}: the map was '
                       'refined with other settings, or class volatility has changed')
     return result
+
+
+def _by_geometry(found, voxel_size, name):
+    """Return the sentences about votes, place, names of such places, neighbours and outcome."""
+    def leading(values):
+        best = sorted(values, key=lambda c: (-values[c], c))[:3]
+        return ', '.join(f'{name(c)} {values[c]:.2f}' for c in best if values[c] >= 0.005)
+
+    result = [f'votes: {leading(found["votes"])}; looks from the same direction count once, '
+              f'{found["looks"]:.2f} votes, worth {found["independent"]:.2f} independent ones',
+              f'place: {found["height"] * voxel_size:.2f} m above ground ({found["height"]} '
+              f'voxels), {TILTS[found["tilt"]]}, {ROUGHNESS[found["roughness"]]}',
+              f'places of this height and shape are called: {leading(found["shape"])}',
+              f'around here, of this kind: {leading(found["cell"])}',
+              'neighbours: ' + (leading(found['neighbours']) or 'none')]
+    return result + [f'all together: {leading(found["posterior"])}']
+
+
+def geometry_table(found, name):
+    """Return the table of what each class gets from every part of the method geometry."""
+    lines = [f'{"id":>5}  {"class":<20}{"votes":>9}{"pi":>9}{"shape":>9}{"cell":>9}'
+             f'{"cell/2":>9}{"around":>9}{"posterior":>11}']
+    order = sorted(found['posterior'], key=lambda c: (-found['posterior'][c], c))
+    for c in order[:16]:
+        lines.append(f'{c:>5}  {name(c)[:19]:<20}' + ''.join(
+            f'{found[key].get(c, 0.0):>9.4f}' for key in (
+                'votes', 'frequencies', 'shape', 'cell', 'shifted_cell', 'neighbours'))
+            + f'{found["posterior"][c]:>11.4f}')
+    return lines
 
 
 def _refinement(trace, settings, name):
