@@ -149,7 +149,8 @@ def test_query_says_why(capsys, wall):
     ('trust', 'replay: no other label leads'),
     ('history', 'for the majority label: final'),
     ('context', 'most neighbours are 1 road'),
-    ('context_history', 'for the majority label: final')])
+    ('context_history', 'for the majority label: final'),
+    ('geometry', 'places of this height and shape are called')])
 def test_query_for_each_kind_of_method(capsys, tmp_path, method, words):
     path, _ = saved(tmp_path, method)
     status, out, _ = run(capsys, 'map', 'query', path, 100.3, 2.2, 0.1)
