@@ -68,14 +68,14 @@ def lags(labels: Stamps, depth: Stamps, tolerance: int) -> list[tuple[int, int]]
         middle = _middle(labels - depth[i])
         candidates |= {middle + k * period
                        for k in range(-1, min(100, LONGEST // max(period, 1)) + 1)}
-    found = []
+    found = {}
     for lag in candidates:
-        misses = distances(labels - lag, depth)
-        near = misses[np.abs(misses) <= tolerance]
-        lag += _middle(near) if len(near) else 0
-        count = int(np.count_nonzero(np.abs(distances(labels - lag, depth)) <= tolerance))
-        found.append((int(lag), count))
-    return sorted(found, key=lambda item: (-item[1], item[0] < -tolerance, abs(item[0])))
+        for center in (np.median, np.median, _middle):
+            misses = distances(labels - lag, depth)
+            near = misses[2 * np.abs(misses) <= period]
+            lag += int(center(near)) if len(near) else 0
+        found[lag] = int(np.count_nonzero(np.abs(distances(labels - lag, depth)) <= tolerance))
+    return sorted(found.items(), key=lambda item: (-item[1], item[0] < -tolerance, abs(item[0])))
 
 
 def _view(view: View, sample: Sample) -> Iterator[Finding]:
@@ -93,7 +93,8 @@ def _view(view: View, sample: Sample) -> Iterator[Finding]:
     now = int(near.sum())
     exact = int(np.count_nonzero(np.abs(off) <= EXACT))
     best, count = lags(labels, depth, tolerance)[0]
-    if exact >= max(FEW * now, 1) or now >= FINE * possible and not _steady(off, best, count, now):
+    fine = now >= FINE * possible and not _steady(off[near], best, count, now)
+    if fine or exact >= max(FEW * now, 1):
         return
     severity = WARN if now >= FEW * possible else REFUSE
     low, middle, high = (x / 1e6 for x in np.percentile(off, (5, 50, 95)))
@@ -108,6 +109,11 @@ def _advice(said: str, labels: Stamps, depth: Stamps, offset: int, best: tuple[i
             possible: int, tolerance: int) -> tuple[str, tuple[Remedy, ...]]:
     """Return the sentence and what to type, by what explains the stamps."""
     lag, count = best
+    if count < FITS * possible:     # then what counts is how far the rest is, not how many fit
+        found = [other for other, _ in lags(labels, depth, tolerance)]
+        least = min(float(np.percentile(np.abs(distances(labels - other, depth)), 95))
+                    for other in found)
+        lag = lags(labels, depth, round(least) + EXACT)[0][0]
     value = f'{(offset - lag) / 1e9:.3f}'
     if count >= FITS * possible:
         return (f'{said}; {count} fit a depth image {lag / 1e6:.0f} ms '
@@ -128,8 +134,9 @@ def _advice(said: str, labels: Stamps, depth: Stamps, offset: int, best: tuple[i
 
 def _steady(off: NDArray[np.int64], best: int, count: int, now: int) -> bool:
     """Return whether all labels are off by the same, and another lag explains more of them."""
-    return count > now and abs(_middle(off)) > EXACT and abs(best - _middle(off)) > EXACT \
-        and bool(np.percentile(off, 95) - np.percentile(off, 5) <= 2 * EXACT)
+    if not 0 < now < count or abs(_middle(off)) <= EXACT or abs(best - _middle(off)) <= EXACT:
+        return False
+    return bool(np.percentile(off, 95) - np.percentile(off, 5) <= 2 * EXACT)
 
 
 def _middle(values: NDArray[np.int64]) -> int:

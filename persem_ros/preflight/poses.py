@@ -138,7 +138,8 @@ def _jumps(view: View, sample: Sample) -> Iterator[Finding]:
     track = view.poses.poses
     if track is None or len(track.stamps) < 3:
         return
-    steps = np.linalg.norm(np.diff([T[:3, 3] for T in track.transforms], axis=0), axis=1)
+    # hypot, which does not overflow where one pose is absurd.
+    steps = np.hypot.reduce(np.diff([T[:3, 3] for T in track.transforms], axis=0), axis=1)
     seconds = np.diff(np.array(track.stamps, np.float64)) / 1e9
     speeds = steps / np.maximum(seconds, 1e-9)
     limit = sample.config.pose.max_speed

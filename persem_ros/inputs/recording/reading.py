@@ -161,7 +161,11 @@ class Reading(Intake):
         return self._buffers[name]
 
     def _note_miss(self, station, match, reason):
-        """Keep how far a label image without depth was from the nearest one before it."""
+        """Keep why a label image was dropped, as long as what tells it is there."""
+        if reason in self._missed:
+            poses, stamp, frame_id = self._missed.pop(reason)
+            if reason not in self.examples:
+                self.examples[reason] = poses.explain(stamp, frame_id)
         depth = self._depth.get(station)
         if reason == NO_DEPTH and depth:
             i = bisect_left(depth, match.stamp)

@@ -1,0 +1,246 @@
+"""Which frame is which: what replay and info find out by themselves, refuse, or say."""
+
+from contextlib import closing
+
+import bags
+import numpy as np
+from persem_ros.core.transforms import inverse, transform
+from persem_ros.errors import PersemError
+from persem_ros.outputs.recording.writer import RecordingWriter
+from persem_ros.preflight.look import opened
+from persem_ros.settings.config import Config, updated
+import pytest
+
+DOWN = transform([0.1, 0.0, -0.05], [1.0, 0.0, 0.0, 0.0])       # the camera below a body
+W, H, F = 32, 24, 25.0
+K = np.array([[F, 0, 15.5], [0, F, 11.5], [0, 0, 1]])
+
+
+def turned(roll=0.0, pitch=0.0, yaw=0.0, xyz=(0.0, 0.0, 10.0)):
+    """Return T_map_body of angles in degrees."""
+    T = np.eye(4)
+    for axis, angle in ((2, yaw), (1, pitch), (0, roll)):
+        q = np.zeros(4)
+        q[axis], q[3] = np.sin(np.radians(angle) / 2), np.cos(np.radians(angle) / 2)
+        T = T @ transform([0.0, 0.0, 0.0], q)
+    T[:3, 3] = xyz
+    return T
+
+
+def swaying(i):
+    """Return T_map_body of a multirotor that brakes and turns."""
+    return turned(14 * np.sin(i), 14 * np.cos(0.7 * i), 5 * i, (0.3 * i, 0.1 * i, 10 + np.sin(i)))
+
+
+def straight(i):
+    """Return T_map_body of a flight without a turn."""
+    return turned(xyz=(0.1 * i, 0.0, 10.0))
+
+
+def ground(T_map_camera):
+    """Return the depth (H, W) of flat ground at z = 0."""
+    rays = np.stack([*np.meshgrid((np.arange(W) - 15.5) / F, (np.arange(H) - 11.5) / F),
+                     np.ones((H, W))], -1)
+    return (-T_map_camera[2, 3] / (rays @ T_map_camera[:3, :3].T)[..., 2]).astype(np.float32)
+
+
+def images(out, i, T_map_camera, frames=('camera',) * 3):
+    """Write frame *i*; *frames* are those of labels, depth and camera info."""
+    at = bags.stamp(i)
+    out.camera_info('depth/camera_info', at, frames[2], W, H, K)
+    out.image('depth/image', at, frames[1], ground(T_map_camera), '32FC1')
+    out.image('semantic/image', at, frames[0], np.ones((H, W), np.uint8), 'mono8')
+
+
+def written(path, body=straight, n=20, extra=None, frames=('camera',) * 3, pose=True, child=''):
+    """Write a flight whose poses are those of the body, the camera mounted in /tf_static."""
+    with RecordingWriter(path) as out:
+        out.tf(bags.stamp(0), 'base_link', 'camera', DOWN, static=True)
+        for i in range(n):
+            if pose:
+                out.pose('pose', bags.stamp(i), 'map', body(i), *(('Odometry', child)
+                                                                  if child else ()))
+            if extra:
+                extra(out, i)
+            images(out, i, body(i) @ DOWN, frames)
+    return path
+
+
+def looked(path, **values):
+    """Return the frames and the settings in force; dots in names are double underscores."""
+    config = updated(Config(), {k.replace('__', '.'): v for k, v in values.items()})
+    with closing(opened(path, config)) as recording:
+        return list(recording.frames()), recording
+
+
+def test_a_body_pose_is_told_from_a_camera_pose_by_depth(tmp_path, caplog):
+    frames, recording = looked(written(tmp_path / 'bag', swaying))
+    assert recording.config.pose.child_frame == 'base_link'
+    assert "'base_link', because" in caplog.text
+    np.testing.assert_allclose(frames[3].T_map_camera, swaying(3) @ DOWN, atol=1e-9)
+
+
+def test_a_camera_pose_is_told_from_a_body_pose_by_depth(tmp_path):
+    with RecordingWriter(tmp_path / 'bag') as out:
+        out.tf(bags.stamp(0), 'base_link', 'camera', DOWN, static=True)
+        for i in range(20):
+            out.pose('pose', bags.stamp(i), 'map', swaying(i) @ DOWN)
+            images(out, i, swaying(i) @ DOWN)
+    frames, recording = looked(tmp_path / 'bag')
+    assert recording.config.pose.child_frame == 'camera'
+    np.testing.assert_allclose(frames[3].T_map_camera, swaying(3) @ DOWN, atol=1e-9)
+
+
+def test_what_the_images_do_not_tell_is_refused_with_both_commands(tmp_path):
+    path = written(tmp_path / 'bag')
+    with pytest.raises(PersemError) as refusal:
+        looked(path)
+    for flag in ('--set pose.child_frame=base_link', '--set pose.child_frame=camera'):
+        assert flag in str(refusal.value)
+    for child, height in (('base_link', 9.95), ('camera', 10.0)):
+        frames, _ = looked(path, pose__child_frame=child)
+        assert len(frames) == 20 and frames[5].T_map_camera[2, 3] == pytest.approx(height)
+
+
+def test_a_mount_without_distance_asks_nothing(tmp_path, caplog):
+    path = bags.write(tmp_path / 'bag', extra=lambda out: out.tf(
+        bags.stamp(0), 'base_link', 'camera', np.eye(4), static=True))
+    assert len(looked(path)[0]) == 5 and not caplog.text
+
+
+def test_a_gimbal_on_tf_is_followed(tmp_path):
+    def gimbal(i):
+        return turned(3 * i)
+
+    with RecordingWriter(tmp_path / 'bag') as out:
+        out.tf(bags.stamp(0), 'gimbal', 'camera', DOWN, static=True)
+        for i in range(12):
+            out.pose('odom', bags.stamp(i), 'map', straight(i), 'Odometry', 'base_link')
+            out.tf(bags.stamp(i), 'base_link', 'gimbal', gimbal(i))
+            images(out, i, straight(i) @ gimbal(i) @ DOWN)
+    frames, _ = looked(tmp_path / 'bag', topics__pose='odom')
+    np.testing.assert_allclose(frames[7].T_map_camera, straight(7) @ gimbal(7) @ DOWN, atol=1e-9)
+    assert len(frames) == 12
+
+
+def test_the_only_root_is_the_map_frame(tmp_path, caplog):
+    path = written(tmp_path / 'bag', pose=False, extra=lambda out, i: out.tf(
+        bags.stamp(i), 'odom', 'base_link', straight(i)))
+    frames, recording = looked(path, pose__source='tf')
+    assert len(frames) == 20 and recording.config.frames.map == 'odom'
+    assert "there is no 'map': the map is in 'odom'" in caplog.text
+
+
+def test_several_roots_are_refused_with_the_candidates(tmp_path):
+    path = written(tmp_path / 'bag', pose=False, extra=lambda out, i: (
+        out.tf(bags.stamp(i), ('odom', 'world')[i % 2], 'base_link', straight(i))))
+    with pytest.raises(PersemError, match='--set frames.map=odom, or --set frames.map=world'):
+        looked(path, pose__source='tf')
+
+
+@pytest.mark.parametrize('camera, robot', [('r2', 'r2'), ('', 'r2')])
+def test_transforms_are_those_of_the_robot_with_the_camera(tmp_path, camera, robot):
+    """Of /r1/tf and /r2/tf: by the namespace of the images, else by the frames in them."""
+    frame = 'camera' if camera else 'r2/camera'
+    prefix = f'{camera}/' if camera else ''
+    with RecordingWriter(tmp_path / 'bag') as out:
+        for i in range(10):
+            for name, shift in (('r1', 100.0), ('r2', 0.0)):
+                child = 'camera' if camera else f'{name}/camera'
+                T = straight(i) @ DOWN
+                T[0, 3] += shift
+                out.message(f'{name}/tf', bags.stamp(i), 'tf2_msgs/msg/TFMessage', out.make.make(
+                    'tf2_msgs/msg/TFMessage', [
+                        out.make.transform(bags.stamp(i), 'map', child, T)]))
+            at = bags.stamp(i)
+            out.camera_info(f'{prefix}depth/camera_info', at, frame, W, H, K)
+            out.image(f'{prefix}depth/image', at, frame, ground(straight(i) @ DOWN), '32FC1')
+            out.image(f'{prefix}semantic/image', at, frame, np.ones((H, W), np.uint8), 'mono8')
+    frames, _ = looked(tmp_path / 'bag', pose__source='tf')
+    assert len(frames) == 10 and frames[0].T_map_camera[0, 3] == pytest.approx(0.1)
+
+
+def test_robots_that_nothing_tells_apart_are_refused(tmp_path):
+    with RecordingWriter(tmp_path / 'bag') as out:
+        for i in range(3):
+            for name in ('r1', 'r2'):
+                out.message(f'{name}/tf', bags.stamp(i), 'tf2_msgs/msg/TFMessage', out.make.make(
+                    'tf2_msgs/msg/TFMessage', [out.make.transform(
+                        bags.stamp(i), 'map', 'camera', np.eye(4))]))
+            images(out, i, straight(i) @ DOWN)
+    with pytest.raises(PersemError, match='--set topics.tf=/r1/tf, or --set topics.tf=/r2/tf'):
+        looked(tmp_path / 'bag', pose__source='tf')
+    assert len(looked(tmp_path / 'bag', pose__source='tf', topics__tf='/r2/tf')[0]) == 3
+
+
+def test_the_right_camera_info_is_found(tmp_path):
+    def extra(out, i):
+        out.camera_info('aligned/camera_info', bags.stamp(i), 'camera', W, H, K)
+
+    frames = ('camera', 'camera', 'color')
+    path = written(tmp_path / 'bag', frames=frames, child='base_link', extra=extra)
+    recording = looked(path)[1]
+    assert recording.config.topics.camera_info == '/aligned/camera_info'
+
+
+def test_labels_of_a_camera_beside_are_no_silent_mistake(tmp_path):
+    beside = transform([1.5, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0])
+    path = written(tmp_path / 'bag', frames=('color', 'camera', 'camera'), child='base_link',
+                   extra=lambda out, i: i or out.tf(bags.stamp(0), 'base_link', 'color', beside,
+                                                    static=True))
+    with pytest.raises(PersemError, match="'color'.*'camera'"):
+        looked(path)
+
+
+def test_a_slow_link_is_named_with_both_settings_and_may_be_held(tmp_path):
+    def extra(out, i):
+        out.tf(bags.stamp(i), 'odom', 'base_link', straight(i))
+        if i % 10 == 0:
+            out.tf(bags.stamp(i) - 10_000_000, 'map', 'odom', np.eye(4))
+
+    path = written(tmp_path / 'bag', pose=False, extra=extra, n=30)
+    with pytest.raises(PersemError, match=r'map -> odom.*--set pose.max_gap=1.2.*pose.hold=odom'):
+        looked(path, pose__source='tf')
+    assert len(looked(path, pose__source='tf', pose__hold=['odom'])[0]) == 30
+
+
+def test_a_transform_sent_once_is_held_on_demand(tmp_path):
+    def extra(out, i):
+        out.tf(bags.stamp(i), 'odom', 'base_link', straight(i))
+        if i == 0:
+            out.tf(bags.stamp(0), 'map', 'odom', np.eye(4))
+
+    path = written(tmp_path / 'bag', pose=False, extra=extra)
+    frames, recording = looked(path, pose__source='tf')
+    assert len(frames) == 1 and 'one sample only' in recording.examples['no pose']
+    assert len(looked(path, pose__source='tf', pose__hold=['odom'])[0]) == 20
+
+
+def test_poses_that_jump_are_not_interpolated_and_said(tmp_path, caplog):
+    def jumping(i):
+        T = straight(i)
+        T[0, 3] += 40.0 if i > 9.7 else 0.0
+        return T
+
+    with RecordingWriter(tmp_path / 'bag') as out:
+        for i in range(20):
+            out.pose('pose', bags.stamp(i - 0.5), 'map', jumping(i - 0.5) @ DOWN)
+            images(out, i, jumping(i) @ DOWN)
+        out.pose('pose', bags.stamp(19.5), 'map', jumping(19.5) @ DOWN)
+    frames, recording = looked(tmp_path / 'bag')
+    assert len(frames) == 19 and recording.dropped['pose jumps'] == 1
+    assert 'jump 1 times' in caplog.text and 'topics.trajectory' in caplog.text
+    assert 'pose.max_speed' in recording.examples['pose jumps']
+
+
+@pytest.mark.parametrize('x', [1e300, 1e6, -3000.0])
+def test_one_wild_pose_costs_one_frame(tmp_path, x):
+    with RecordingWriter(tmp_path / 'bag') as out:
+        for i in range(12):
+            T = straight(i) @ DOWN
+            images(out, i, T)
+            T[0, 3] = x if i == 6 else T[0, 3]
+            out.pose('pose', bags.stamp(i), 'map', T)
+    frames, recording = looked(tmp_path / 'bag')
+    assert len(frames) == 11 and sum(recording.dropped.values()) == 1
+    assert inverse(frames[6].T_map_camera)[0, 3] == pytest.approx(-0.8)
