@@ -228,3 +228,9 @@ def test_frames_that_waited_for_too_long_are_dropped_before_they_are_decoded():
     late._steady = lambda: live.steady + 3 * S      # mapping took three seconds meanwhile
     live.labels(1.1)
     assert len(live.frames) == before and live.dropped == {BEHIND: 1}
+
+
+def test_a_camera_may_need_more_than_depth_live_too():
+    live = Live()
+    station = live.intake.add_camera('other', live.buffer, ('color',), ('depth', 'confidence'))
+    assert station in live.intake.stations
