@@ -36,7 +36,7 @@ class Refiner:
         self._began = time.monotonic()
         self._asked = []        # futures of those who want a full refinement from here on
         self._served = []       # futures of those for whom one is under way, slice by slice
-        self._visited, self._asked_at = 0, 0.0      # of that one
+        self._asked_at = 0.0    # when that one began
 
     @property
     def busy(self):
@@ -83,10 +83,9 @@ class Refiner:
         self._statistics.refinements += 1
         self._statistics.refined_in = time.monotonic() - self._began
         self._statistics.visited = visited
-        self._visited += visited
         if swept(memory, job.settings):
             for future in self._served:
-                future.set_result((self._visited, time.monotonic() - self._asked_at))
+                future.set_result((memory.n_voxels, time.monotonic() - self._asked_at))
             self._served = []
         return visited > 0
 
@@ -107,7 +106,7 @@ class Refiner:
         fresh = bool(self._asked) and not self._served
         if fresh:
             self._served, self._asked = self._asked, []
-            self._visited, self._asked_at = 0, self._began
+            self._asked_at = self._began
         self._job = begin_next(memory, settings, fresh)
         self._result = self._thread.submit(self._compute, self._job)
         return at_rest(memory, settings)
