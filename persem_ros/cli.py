@@ -1,6 +1,10 @@
 """The command persem: dispatch, exit status, one line for everything that goes wrong."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator
 import sys
+from typing import Any
 
 from persem_ros import ending
 
@@ -25,7 +29,7 @@ COMMANDS = ('simulate', 'convert', 'info', 'replay', 'evaluate', 'sweep', 'compa
 DONE, REFUSED, USAGE, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, ending.INTERRUPTED, 141
 
 
-def main(argv=None):
+def main(argv: list[str] | None = None) -> int:
     """
     Run one sub-command and return its exit status.
 
@@ -61,18 +65,18 @@ def main(argv=None):
 class _Plain:
     """A text stream in front of another one: names from files cannot command the terminal."""
 
-    def __init__(self, stream):
+    def __init__(self, stream: Any) -> None:
         self._stream = stream
 
-    def write(self, text):
+    def write(self, text: Any) -> Any:
         """Write a text, control characters escaped."""
         return self._stream.write(plain(text, lines=True))
 
-    def __getattr__(self, name):
+    def __getattr__(self, name: Any) -> Any:
         return getattr(self._stream, name)
 
 
-def _repair_streams():
+def _repair_streams() -> None:
     """Give closed streams a place to go, and let any encoding write any name."""
     handle = os.open(os.devnull, os.O_RDWR)
     while handle <= 2:          # lest a file of ours gets the number of a closed stream
@@ -86,7 +90,7 @@ def _repair_streams():
             stream.reconfigure(errors='backslashreplace')
 
 
-def _status(argv, debug):
+def _status(argv: list[str], debug: bool) -> int:
     """Run *argv* and return the exit status; everything that goes wrong ends here."""
     try:
         return _run(argv, debug)
@@ -99,7 +103,7 @@ def _status(argv, debug):
     return INTERRUPTED
 
 
-def _run(argv, debug):
+def _run(argv: Any, debug: Any) -> Any:
     """Run *argv*; an interrupt comes through, also one that was taken for a fault of a file."""
     try:
         args = _parsed(argv)
@@ -118,7 +122,7 @@ def _run(argv, debug):
         return _fault(error, debug)
 
 
-def _fault(error, debug):
+def _fault(error: Any, debug: Any) -> Any:
     """Say what went wrong and return the exit status."""
     try:
         raise error
@@ -138,7 +142,7 @@ def _fault(error, debug):
 class _Parser(argparse.ArgumentParser):
     """A parser that names the nearest choice, for example of a sub-command, if one is wrong."""
 
-    def _check_value(self, action, value):
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
         try:
             super()._check_value(action, value)
         except argparse.ArgumentError as error:
@@ -146,7 +150,7 @@ class _Parser(argparse.ArgumentParser):
                 action, error.message + nearest(value, action.choices)) from None
 
 
-def _parsed(argv):
+def _parsed(argv: list[str]) -> argparse.Namespace | None:
     """Return the arguments taken apart; SystemExit where they are none of ours."""
     parser = _parser(argv)
     args, strange = parser.parse_known_args(argv)
@@ -156,7 +160,7 @@ def _parsed(argv):
     return args
 
 
-def _as_settings(strange, argv):
+def _as_settings(strange: list[str], argv: list[str]) -> str:
     """Return words with the --set that an option like --voxel-size 0.05 may have meant."""
     hints = []
     for option in (word for word in strange if word.startswith('--')):
@@ -170,7 +174,7 @@ def _as_settings(strange, argv):
     return f'; did you mean {" or ".join(hints)}?' if hints else ''
 
 
-def _parser(argv):
+def _parser(argv: list[str]) -> _Parser:
     """Return the parser; only the sub-command that *argv* names is imported, or else all."""
     parser = _Parser(
         prog='persem', description='Persistent semantic maps from labelled images, depth and '
@@ -184,7 +188,7 @@ def _parser(argv):
     return parser
 
 
-def _failed(text, debug):
+def _failed(text: Any, debug: bool) -> int:
     """Say *text* on one line, with the traceback before it under --debug; return 1."""
     if debug:
         logging.getLogger(__name__).exception('traceback')
@@ -192,7 +196,7 @@ def _failed(text, debug):
     return REFUSED
 
 
-def _say(text):
+def _say(text: Any) -> None:
     """Write one line on standard error."""
     with suppress(OSError, ValueError):     # nobody reads it
         print(f'persem: {sentence(text)}', file=sys.stderr)
@@ -201,7 +205,7 @@ def _say(text):
 class _Formatter(logging.Formatter):
     """One line a record, control characters escaped; tracebacks keep their lines."""
 
-    def format(self, record):   # noqa: A003
+    def format(self, record: Any) -> Any:   # noqa: A003
         """Return the record as text."""
         text = super().format(record)
         return plain(text, lines=True) if record.exc_info else sentence(text)
@@ -210,14 +214,14 @@ class _Formatter(logging.Formatter):
 class _Handler(logging.StreamHandler):
     """Standard error, which somebody may have closed."""
 
-    def handleError(self, record):      # noqa: N802
+    def handleError(self, record: Any) -> None:      # noqa: N802
         """Pass over a stream that is gone."""
         if not isinstance(sys.exc_info()[1], OSError):
             super().handleError(record)
 
 
 @contextmanager
-def _logging(debug):
+def _logging(debug: bool) -> Iterator[Any]:
     """Show our own log records on standard error, one line each, for as long as this lasts."""
     logger = logging.getLogger('persem_ros')
     handler = _Handler()

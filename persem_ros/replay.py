@@ -1,11 +1,15 @@
 """A recording becomes a refined map, refined images and metrics: `persem replay`."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 import functools
 import logging
 from pathlib import Path
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.ahead import read_ahead, WriteBehind
 from persem_ros.core.jit import Announcement
 from persem_ros.core.refine.regions import regions
@@ -33,6 +37,11 @@ from persem_ros.settings import config_file
 from persem_ros.settings.config import Config, IMAGE_METHODS, METHODS, nearest
 from persem_ros.settings.legend import Legend
 
+if TYPE_CHECKING:
+    from persem_ros.core.frame.observe import Observations
+    from persem_ros.frames import Frame
+    from persem_ros.rendering import Rendering
+
 log = logging.getLogger(__name__)
 
 
@@ -56,7 +65,8 @@ class Replay:
 
     """
 
-    def __init__(self, recording, folder, config, methods, watchers=(), memory=None):
+    def __init__(self, recording: Recording, folder: Path, config: Config,
+                 methods: tuple[str, ...], watchers: list[Any] = (), memory: Any = None) -> None:
         self.recording, self.folder, self.config = recording, folder, config
         self.methods, self.watchers = tuple(methods), tuple(watchers)
         self.watch = rundir.Stopwatch()
@@ -70,7 +80,7 @@ class Replay:
         self._before = self.pipeline.memory.n_observations     # of a map that goes on
         self._emptiness = Emptiness(config.memory)
 
-    def run(self):
+    def run(self) -> dict[str, Any]:
         """Build the map, refine it, render every frame from it; return metrics.json's content."""
         with self._read('integrating') as frames:
             for session, frame in frames:
@@ -92,7 +102,7 @@ class Replay:
             later(refined.map, self.points, self.pipeline.memory.frames[-1].stamp)
         return self._finish()
 
-    def run_causal(self):
+    def run_causal(self) -> dict[str, Any]:
         """Integrate, refine when it is time, render: what a node would have published."""
         self.causal, period = True, int(self.config.refine.period * 1e9)
         refined_at = None
@@ -117,7 +127,7 @@ class Replay:
             later(refined.map, self.points, self.pipeline.memory.frames[-1].stamp)
         return self._finish()
 
-    def without_truth(self):
+    def without_truth(self) -> str:
         """Return why accuracy is unknown, a main clause; '' where it is known."""
         if not self.recording.has('truth'):
             return 'the recording holds no truth'
@@ -127,7 +137,7 @@ class Replay:
             return 'no pixel has depth, a label that counts and a truth that counts'
         return ''
 
-    def _read(self, what, **wanted):
+    def _read(self, what: str, **wanted: Any) -> Any:
         """Give the recording's frames, read ahead, with a progress bar on a terminal."""
         frames = read_ahead(self.watch.iterate('read', self.recording.frames(**wanted)))
         return progress(frames, what, self.recording.expected)
@@ -145,7 +155,7 @@ class Replay:
             self.metrics.restart()
             self.renderer.restart()
 
-    def _integrate(self, frame):
+    def _integrate(self, frame: Frame) -> Observations:
         """Add a frame to the map; return its observations."""
         with self.watch('integrate'):
             observations = self.pipeline.add(frame)
@@ -155,7 +165,7 @@ class Replay:
             self._emptiness.frame(frame)
         return observations
 
-    def _check_map(self):
+    def _check_map(self) -> None:
         """Refuse a recording of which nothing went into the map; log what its voxels are like."""
         memory = self.pipeline.memory
         if memory.n_observations == self._before:
@@ -164,7 +174,7 @@ class Replay:
         for note in self.advice.about_voxels(memory):
             log.warning(note)
 
-    def _refine(self, full=True):
+    def _refine(self, full: Any = True) -> None:
         """Refine the map, or what is next in turn; label it by the other methods."""
         with self.watch('refine'):
             if full:
@@ -174,12 +184,14 @@ class Replay:
         with self.watch('label'):
             self.renderer.relabel()
 
-    def _render(self, frame, observations=None):
+    def _render(self, frame: Frame, observations: Observations | None = None) -> Rendering:
         """Render a frame by every method."""
         with self.watch('render'):
             return self.renderer.render(frame, observations)
 
-    def _measure(self, frame, rendering, codes=None):
+    def _measure(
+            self, frame: Frame, rendering: Rendering, codes: NDArray[np.uint8] | None = None
+    ) -> None:
         """Count a rendered frame and show it to the watchers."""
         with self.watch('measure'):
             self.metrics.update(rendering.valid, rendering.images, rendering.truth,
@@ -189,11 +201,11 @@ class Replay:
             for watcher in self.watchers:
                 watcher.frame(self, frame, rendering)
 
-    def _refined(self):
+    def _refined(self) -> RefinedWriter:
         """Return the writer of refined/."""
         return RefinedWriter(self.folder / 'refined', self.legend, self.config, self.watch)
 
-    def _write_map(self):
+    def _write_map(self) -> None:
         """Write map.ply, map.persem and the settings."""
         with self.watch('write map'):
             memory = self.pipeline.memory
@@ -203,7 +215,7 @@ class Replay:
                 self.config.frames.map, memory.origin, memory.voxel_size))
             store.save(self.folder / 'map.persem', memory, self.config, self.legend)
 
-    def _finish(self):
+    def _finish(self) -> dict[str, Any]:
         """Write metrics.json and timing.json; tell the watchers; log what a user should know."""
         memory = self.pipeline.memory
         result = {'frames': {'used': self.frames, 'dropped': dict(self.recording.dropped)},
@@ -219,8 +231,9 @@ class Replay:
         return result
 
 
-def replay(path, out, config, methods=None, causal=False, force=False, watchers=(), report=True,
-           excerpt=WHOLE):
+def replay(path: Path | str, out: Path | str, config: Config, methods: Sequence[str] | None = None,
+           causal: bool = False, force: bool = False, watchers: Sequence[Any] = (),
+           report: bool = True, excerpt: Any = WHOLE) -> dict[str, Any]:
     """
     Replay a recording into a folder (spec section 8).
 
@@ -286,13 +299,13 @@ def opened_all(paths: Sequence[str | Path], config: Config,
 
 
 @functools.cache
-def compile_kernels():
+def compile_kernels() -> None:
     """Compile or load the kernels, once a process; say so when it takes long."""
     with Announcement():
         warm_up()
 
 
-def chosen_methods(methods, config):
+def chosen_methods(methods: Sequence[str] | None, config: Config) -> tuple[str, ...]:
     """Return the methods to be measured, refine.method among them; refuse unknown ones."""
     known = IMAGE_METHODS + METHODS
     methods = list(methods or ('raw2d', 'majority', config.refine.method))
@@ -305,7 +318,7 @@ def chosen_methods(methods, config):
     return tuple(dict.fromkeys(methods + [config.refine.method]))
 
 
-def chosen_legend(config, recording):
+def chosen_legend(config: Config, recording: Recording) -> Legend:
     """Return the legend of labels.legend, else the recording's, else one of made-up colours."""
     text = recording.legend_text        # that of labels.legend where it is set
     legend = Legend.from_yaml(text, "the recording's legend") if text else Legend()
@@ -326,7 +339,7 @@ def _check_legends(recording: Sessions, legend: Legend) -> None:
                                   'labels.legend=FILE gives one legend for all')
 
 
-def start_map(config):
+def start_map(config: Config) -> Any:
     """Return the memory of map.path to go on with, or None."""
     if not config.map.path:
         return None

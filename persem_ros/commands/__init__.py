@@ -1,7 +1,16 @@
 """One file per sub-command of persem: add_parser(subparsers) and run(args)."""
 
+from __future__ import annotations
 
-def add_settings(parser):
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from argparse import ArgumentParser, Namespace
+
+    from persem_ros.inputs.recording.excerpt import Excerpt
+
+
+def add_settings(parser: ArgumentParser) -> None:
     """Give an argparse parser the options --config and --set, for config_file.from_args."""
     parser.add_argument('--config', metavar='FILE',
                         help="settings as YAML in ROS form; 'persem config' prints one")
@@ -10,7 +19,7 @@ def add_settings(parser):
                                                'may be given again, wins over --config')
 
 
-def add_excerpt(parser):
+def add_excerpt(parser: ArgumentParser) -> None:
     """Give an argparse parser the options --start, --end and --every, for excerpt_of."""
     parser.add_argument('--start', metavar='S', default='',
                         help='use frames from here on: below 1e9 seconds after the first frame, '
@@ -20,7 +29,7 @@ def add_excerpt(parser):
                         help='use one of N complete frames of each camera')
 
 
-def excerpt_of(args):
+def excerpt_of(args: Namespace) -> Excerpt:
     """Return the Excerpt of the options that add_excerpt adds."""
     from persem_ros.inputs.recording.excerpt import Excerpt
     return Excerpt(args.start, args.end, args.every)

@@ -1,7 +1,14 @@
 """persem compare: what differs between two results."""
 
+from __future__ import annotations
 
-def add_parser(subparsers):
+from typing import Any, TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from argparse import _SubParsersAction, Namespace
+
+
+def add_parser(subparsers: _SubParsersAction[Any]) -> None:
     """Add the sub-command and its options."""
     parser = subparsers.add_parser(
         'compare', help='say what differs between two results',
@@ -15,7 +22,7 @@ def add_parser(subparsers):
     parser.set_defaults(run=run)
 
 
-def run(args):
+def run(args: Namespace) -> None:
     """Print what differs."""
     from persem_ros.evaluate.compare import compare
     from persem_ros.evaluate.show.table import console

@@ -1,9 +1,16 @@
 """persem config: print the settings as YAML or as a table."""
 
+from __future__ import annotations
+
+from typing import Any, TYPE_CHECKING
+
 from persem_ros.commands import add_settings
 
+if TYPE_CHECKING:
+    from argparse import _SubParsersAction, Namespace
 
-def add_parser(subparsers):
+
+def add_parser(subparsers: _SubParsersAction[Any]) -> None:
     """Add the sub-command and its options."""
     parser = subparsers.add_parser(
         'config', help='print the settings as YAML, to be used with --config',
@@ -17,7 +24,7 @@ def add_parser(subparsers):
     parser.set_defaults(run=run)
 
 
-def run(args):
+def run(args: Namespace) -> None:
     """Print the settings on standard output."""
     from persem_ros.settings import config_file
     config = config_file.from_args(args.config, args.set_items, node=args.defaults_node)

@@ -1,9 +1,18 @@
 """persem convert: data sets on disk become recordings."""
 
+from __future__ import annotations
+
+from typing import Any, TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from argparse import _SubParsersAction, ArgumentParser, Namespace
+
+    from persem_ros.settings.legend import Legend
+
 NO_CHECK = 'do not reproject depth images to check their unit, the axes and the world'
 
 
-def add_parser(subparsers):
+def add_parser(subparsers: _SubParsersAction[Any]) -> None:
     """Add the sub-command with one parser per kind of data set."""
     parser = subparsers.add_parser(
         'convert', help='make a recording from a data set on disk',
@@ -15,7 +24,7 @@ def add_parser(subparsers):
     _add_forest(kinds)
 
 
-def _add_frames(kinds):
+def _add_frames(kinds: _SubParsersAction[Any]) -> None:
     """Add persem convert frames."""
     parser = kinds.add_parser(
         'frames', help='folders of label, depth, pose and colour files',
@@ -64,7 +73,7 @@ def _add_frames(kinds):
     parser.set_defaults(run=run_frames)
 
 
-def _add_uavscenes(kinds):
+def _add_uavscenes(kinds: _SubParsersAction[Any]) -> None:
     """Add persem convert uavscenes."""
     parser = kinds.add_parser(
         'uavscenes', help='a run of the UAVScenes data set',
@@ -103,7 +112,7 @@ def _add_uavscenes(kinds):
     parser.set_defaults(run=run_uavscenes)
 
 
-def _add_forest(kinds):
+def _add_forest(kinds: _SubParsersAction[Any]) -> None:
     """Add persem convert forest."""
     parser = kinds.add_parser(
         'forest', help='a sequence of the Forest Inspection data set',
@@ -158,7 +167,7 @@ def _add_forest(kinds):
     parser.set_defaults(run=run_forest)
 
 
-def _add_writing(parser):
+def _add_writing(parser: ArgumentParser) -> None:
     """Add what all kinds share: the part to convert, and how to write it."""
     group = parser.add_argument_group('what to write')
     group.add_argument('--frames', metavar='A:B', default='',
@@ -170,9 +179,9 @@ def _add_writing(parser):
     group.add_argument('--force', action='store_true', help='replace the recording OUT')
 
 
-def run_frames(args):
+def run_frames(args: Namespace) -> None:
     """Convert folders of files."""
-    from persem_ros.convert.frames.convert import FramesOptions, convert_frames
+    from persem_ros.convert.frames.convert import convert_frames, FramesOptions
     options = FramesOptions(
         **{name: getattr(args, name) for name in (
             'labels', 'depth', 'pose', 'color', 'truth', 'intrinsics', 'depth_unit', 'stamps',
@@ -184,9 +193,9 @@ def run_frames(args):
     print(f'{args.out}: {summary}')
 
 
-def run_uavscenes(args):
+def run_uavscenes(args: Namespace) -> None:
     """Convert a run of UAVScenes."""
-    from persem_ros.convert.uavscenes.convert import UavscenesOptions, convert_uavscenes
+    from persem_ros.convert.uavscenes.convert import convert_uavscenes, UavscenesOptions
     options = UavscenesOptions(
         **{name: getattr(args, name) for name in (
             'interval', 'predictions', 'depth', 'depth_unit', 'lidar', 'calibration', 'camera',
@@ -198,7 +207,7 @@ def run_uavscenes(args):
     print(f'{args.out}: {summary}')
 
 
-def run_forest(args):
+def run_forest(args: Namespace) -> None:
     """Convert a sequence of Forest Inspection."""
     from persem_ros.convert.forest.convert import convert_forest
     from persem_ros.convert.forest.layout import ForestOptions
@@ -213,13 +222,13 @@ def run_forest(args):
     print(f'{args.out}: {summary}')
 
 
-def _legend(args):
+def _legend(args: Namespace) -> Legend | None:
     """Return the Legend that --legend names, None where it names none."""
     from persem_ros.settings.legend import load_legend
     return load_legend(args.legend) if args.legend else None
 
 
-def _integers(flag, text):
+def _integers(flag: str, text: str) -> tuple[int, int] | None:
     """Return 'N,N' as a tuple of integers."""
     from persem_ros.errors import PersemError
     try:

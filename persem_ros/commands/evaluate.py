@@ -1,9 +1,16 @@
 """persem evaluate: from recordings with truth to tables, figures and intervals."""
 
+from __future__ import annotations
+
+from typing import Any, TYPE_CHECKING
+
 from persem_ros.commands import add_excerpt, add_settings
 
+if TYPE_CHECKING:
+    from argparse import _SubParsersAction, ArgumentParser, Namespace
 
-def add_parser(subparsers):
+
+def add_parser(subparsers: _SubParsersAction[Any]) -> None:
     """Add the sub-command and its options."""
     parser = subparsers.add_parser(
         'evaluate', help='compare all methods on recordings with truth',
@@ -24,7 +31,7 @@ def add_parser(subparsers):
     parser.set_defaults(run=run)
 
 
-def add_evaluation(parser):
+def add_evaluation(parser: ArgumentParser) -> None:
     """Add what persem evaluate and persem sweep share."""
     parser.add_argument('--labels', metavar='NAME', default='',
                         help='taxonomy: a shipped legend or a YAML file; ids that it does not '
@@ -46,23 +53,23 @@ def add_evaluation(parser):
                         help='give up results of other settings in DIR')
 
 
-def methods_of(text):
+def methods_of(text: str) -> tuple[str, ...]:
     """Return the methods that an option names."""
     from persem_ros.settings.config import IMAGE_METHODS, METHODS
     return IMAGE_METHODS + METHODS if text == 'all' else \
         tuple(word.strip() for word in text.split(',') if word.strip())
 
 
-def run(args):
+def run(args: Namespace) -> None:
     """Evaluate the recordings; print the tables."""
     from contextlib import nullcontext
     from tempfile import TemporaryDirectory
 
     from persem_ros.commands import excerpt_of
-    from persem_ros.settings import config_file
     from persem_ros.evaluate.run import evaluate
-    from persem_ros.evaluate.show.table import console
     from persem_ros.evaluate.show.paper_tables import tables
+    from persem_ros.evaluate.show.table import console
+    from persem_ros.settings import config_file
     config = config_file.from_args(args.config, args.set_items)
     with nullcontext(args.out) if args.out else TemporaryDirectory(prefix='persem-') as out:
         evaluation = evaluate(

@@ -1,9 +1,16 @@
 """persem info: what is in a recording and what a replay would use of it."""
 
+from __future__ import annotations
+
+from typing import Any, TYPE_CHECKING
+
 from persem_ros.commands import add_excerpt, add_settings
 
+if TYPE_CHECKING:
+    from argparse import _SubParsersAction, Namespace
 
-def add_parser(subparsers):
+
+def add_parser(subparsers: _SubParsersAction[Any]) -> None:
     """Add the sub-command and its options."""
     parser = subparsers.add_parser(
         'info', help='show what is in a recording and what a replay would use',
@@ -17,23 +24,22 @@ def add_parser(subparsers):
     parser.set_defaults(run=run)
 
 
-def run(args):
+def run(args: Namespace) -> int | None:
     """Print the report; return 0 where a replay can use the recording, else 1."""
     import sys
-
-    from tqdm import tqdm
 
     from persem_ros.commands import excerpt_of
     from persem_ros.guard import limits
     from persem_ros.inputs.recording.excerpt import WHOLE
-    from persem_ros.settings import config_file
-    from persem_ros.preflight import contents, contents_text, recorded
-    from persem_ros.preflight.findings import of_severity, REFUSE
-    from persem_ros.preflight.files import part
-    from persem_ros.preflight.look import look, takes_of
-    from persem_ros.preflight.stamps import usable
     from persem_ros.inputs.recording.source import Source
     from persem_ros.inputs.recording.topics import Choice
+    from persem_ros.preflight import contents, contents_text, recorded
+    from persem_ros.preflight.files import part
+    from persem_ros.preflight.findings import of_severity, REFUSE
+    from persem_ros.preflight.look import look, takes_of
+    from persem_ros.preflight.stamps import usable
+    from persem_ros.settings import config_file
+    from tqdm import tqdm
 
     config = config_file.from_args(args.config, args.set_items)
     limits.use(config.inputs.max_pixels)

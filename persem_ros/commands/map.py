@@ -1,9 +1,22 @@
 """persem map: what is in a map file, its points, and why a voxel has its label."""
 
+from __future__ import annotations
+
+from typing import Any, TYPE_CHECKING
+
 from persem_ros.errors import PersemError
 
+if TYPE_CHECKING:
+    from argparse import _SubParsersAction, Namespace
 
-def add_parser(subparsers):
+    import numpy as np
+    from numpy.typing import NDArray
+    from persem_ros.core.memory.dump import MemoryDump
+    from persem_ros.core.memory.voxel_memory import VoxelMemory
+    from persem_ros.outputs.map.store import StoredMap
+
+
+def add_parser(subparsers: _SubParsersAction[Any]) -> None:
     """Add the sub-command and its own sub-commands."""
     parser = subparsers.add_parser(
         'map', help='look into a map file: info, export, query',
@@ -39,11 +52,11 @@ def add_parser(subparsers):
     query_parser.set_defaults(run=query)
 
 
-def info(args):
+def info(args: Namespace) -> None:
     """Print what the map file holds."""
     import numpy as np
-    from persem_ros.settings.config import settings
     from persem_ros.outputs.map.store import load
+    from persem_ros.settings.config import settings
     from persem_ros.settings.parameter_file import scalar
     stored = load(args.file)
     saved, origin = stored.saved, np.array(stored.saved.origin)
@@ -66,9 +79,10 @@ def info(args):
     print('\nsettings other than the defaults: ' + (', '.join(others) or 'none'))
 
 
-def export(args):
+def export(args: Namespace) -> None:
     """Write the chosen voxels as a PLY file; print how many."""
     from pathlib import Path
+
     import numpy as np
     from persem_ros.outputs.map.cloud import map_points
     from persem_ros.outputs.map.ply import map_comments, write_ply
@@ -102,7 +116,7 @@ def export(args):
     print(f'{len(points)} of {memory.n_voxels} voxels written to {args.ply}')
 
 
-def query(args):
+def query(args: Namespace) -> None:
     """Print the history, evidence and label of the voxel at a point."""
     import numpy as np
     from persem_ros.core.refine.explain import explain
@@ -119,7 +133,7 @@ def query(args):
     print(explanation(stored, voxel, explain(memory, voxel, stored.config().refine)))
 
 
-def _nearest(memory, point):
+def _nearest(memory: VoxelMemory, point: NDArray[np.float64]) -> str | None:
     """Return words that name the observed voxel nearest to a point."""
     import numpy as np
     if not memory.n_voxels:
@@ -130,9 +144,10 @@ def _nearest(memory, point):
     return f'; the nearest voxel is {distance[best]:.2f} m away at {_point(centres[best])}'
 
 
-def _frames_line(saved):
+def _frames_line(saved: MemoryDump) -> str:
     """Return when and by what the map was made."""
     from datetime import datetime, timezone
+
     import numpy as np
     if not len(saved.frames):
         return 'no frames'
@@ -146,7 +161,7 @@ def _frames_line(saved):
             + (f', cameras {", ".join(sensors)}' if sensors else ''))
 
 
-def _class_table(stored):
+def _class_table(stored: StoredMap) -> str:
     """Return the classes by number of voxels, with their sources."""
     import numpy as np
     from persem_ros.outputs.map.cloud import SOURCES
@@ -163,6 +178,6 @@ def _class_table(stored):
     return '\n'.join(lines)
 
 
-def _point(xyz):
+def _point(xyz: NDArray[np.float64]) -> str:
     """Return three numbers as text."""
     return ' '.join(f'{x:.6g}' if abs(x) < 1e5 else f'{x:.2f}' for x in xyz)

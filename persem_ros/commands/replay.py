@@ -1,10 +1,21 @@
 """persem replay: from a recording to a refined map, refined images and metrics."""
 
+from __future__ import annotations
+
+from typing import Any, TYPE_CHECKING
+
 from persem_ros.commands import add_excerpt, add_settings
 from persem_ros.settings.config import IMAGE_METHODS, METHODS
 
+if TYPE_CHECKING:
+    from argparse import _SubParsersAction, Namespace
 
-def add_parser(subparsers):
+    from persem_ros.frames import Frame
+    from persem_ros.rendering import Rendering
+    from persem_ros.replay import Replay
+
+
+def add_parser(subparsers: _SubParsersAction[Any]) -> None:
     """Add the sub-command and its options."""
     parser = subparsers.add_parser(
         'replay', help='turn a recording into a refined map, refined images and metrics',
@@ -36,15 +47,16 @@ def add_parser(subparsers):
     parser.set_defaults(run=run)
 
 
-def run(args):
+def run(args: Namespace) -> None:
     """Replay the recording; print the table of results."""
     from contextlib import ExitStack
     from pathlib import Path
+
     from persem_ros.commands import excerpt_of
     from persem_ros.inputs.recording.finding import split
     from persem_ros.outputs.results.rundir import check_extra, FILES
-    from persem_ros.settings import config_file
     from persem_ros.replay import replay
+    from persem_ros.settings import config_file
     config = config_file.from_args(args.config, args.set_items)
     methods = [name.strip() for name in (args.methods or '').split(',') if name.strip()]
     used = (*(part for bag in args.bags for part in split(bag)), config.map.path,
@@ -73,16 +85,16 @@ class _Truth:
     missing = ''
     reasons = {}
 
-    def frame(self, replay, frame, rendering):
+    def frame(self, replay: Replay, frame: Frame, rendering: Rendering) -> None:
         """Pass over a frame."""
 
-    def finish(self, replay, result):
+    def finish(self, replay: Replay, result: dict[str, Any]) -> None:
         """Keep the reason, '' where accuracy is known, and why frames were dropped."""
         self.missing = replay.without_truth()
         self.reasons = dict(replay.recording.examples)
 
 
-def summary(result, without_truth='', reasons=None):
+def summary(result: dict[str, Any], without_truth: str = '', reasons: Any = None) -> str:
     """
     Return what metrics.json holds as a small table for people.
 
@@ -114,6 +126,6 @@ def summary(result, without_truth='', reasons=None):
     return '\n'.join(lines)
 
 
-def _cell(value, width):
+def _cell(value: float | None, width: int) -> str:
     """Return a number with two decimals, a dash where there is none."""
     return f'{"-" if value is None else format(value, ".2f"):>{width}}'

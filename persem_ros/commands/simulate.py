@@ -1,7 +1,16 @@
 """persem simulate: a recording of a flight over a made-up town and forest."""
 
+from __future__ import annotations
+
 import argparse
+from collections.abc import Iterator
 from operator import attrgetter
+from typing import Any, TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from argparse import _SubParsersAction, Namespace
+
+    from persem_ros.simulate.plan import Plan
 
 # Option, field of simulate.flight.Plan or of one of its parts, type, unit, help.
 NUMBERS = (
@@ -31,7 +40,9 @@ NUMBERS = (
 class DefaultsFormatter(argparse.HelpFormatter):
     """Adds the defaults of the plan to the help of its options, loaded only to be shown."""
 
-    def _get_help_string(self, action):
+    def _get_help_string(
+            self, action: argparse._HelpAction | argparse._StoreAction | argparse._StoreTrueAction
+    ) -> str:
         """Return an option's help with its default."""
         name = {option: name for option, name, *_ in NUMBERS}.get(action.option_strings[-1]
                                                                   if action.option_strings else '')
@@ -43,7 +54,7 @@ class DefaultsFormatter(argparse.HelpFormatter):
         return f'{action.help} (default: {value})'
 
 
-def add_parser(subparsers):
+def add_parser(subparsers: _SubParsersAction[Any]) -> None:
     """Add the sub-command and its options."""
     parser = subparsers.add_parser(
         'simulate', help='record a simulated flight over a made-up town and forest',
@@ -65,17 +76,16 @@ def add_parser(subparsers):
     parser.set_defaults(run=run)
 
 
-def run(args):
+def run(args: Namespace) -> None:
     """Simulate the flight and write the recording."""
     from pathlib import Path
     import sys
     import time
 
-    from tqdm import tqdm
-
     from persem_ros.errors import PersemError
-    from persem_ros.outputs.recording.writer import RecordingWriter
     from persem_ros.outputs.recording.target import check_target
+    from persem_ros.outputs.recording.writer import RecordingWriter
+    from tqdm import tqdm
     try:
         from persem_ros.simulate.flight import Flight
     except ImportError as error:
@@ -85,7 +95,7 @@ def run(args):
     begin = time.perf_counter()
     flight = Flight(plan_of(args))
 
-    def progress(shots):
+    def progress(shots: Iterator[Any]) -> Any:
         return tqdm(shots, 'simulating', flight.plan.frames, unit=' frames',
                     disable=not sys.stderr.isatty())
 
@@ -97,7 +107,7 @@ def run(args):
           f'{time.perf_counter() - begin:.1f} s: {args.out}')
 
 
-def plan_of(args):
+def plan_of(args: Namespace) -> Plan:
     """Return the simulate.flight.Plan of the options; those not given keep their defaults."""
     from dataclasses import replace
 
@@ -117,7 +127,7 @@ def plan_of(args):
     return plan.without_errors() if args.no_noise else plan
 
 
-def _size(text):
+def _size(text: str) -> tuple[int, int] | None:
     """Return (width, height) of a text like 640x480."""
     width, cross, height = text.lower().partition('x')
     if not (cross and width.isdigit() and height.isdigit()):

@@ -1,10 +1,17 @@
 """persem sweep: the same recordings under many settings."""
 
+from __future__ import annotations
+
+from typing import Any, TYPE_CHECKING
+
 from persem_ros.commands import add_settings
 from persem_ros.commands.evaluate import add_evaluation, methods_of
 
+if TYPE_CHECKING:
+    from argparse import _SubParsersAction, Namespace
 
-def add_parser(subparsers):
+
+def add_parser(subparsers: _SubParsersAction[Any]) -> None:
     """Add the sub-command and its options."""
     parser = subparsers.add_parser(
         'sweep', help='measure how settings, noise and order change the results',
@@ -27,12 +34,12 @@ def add_parser(subparsers):
     parser.set_defaults(run=run)
 
 
-def run(args):
+def run(args: Namespace) -> None:
     """Evaluate all points; print their table."""
     from persem_ros.commands import excerpt_of
-    from persem_ros.settings import config_file
-    from persem_ros.evaluate.sweep import parse_vary, points_table, sweep
     from persem_ros.evaluate.show.table import console
+    from persem_ros.evaluate.sweep import parse_vary, points_table, sweep
+    from persem_ros.settings import config_file
     config = config_file.from_args(args.config, args.set_items)
     result = sweep(args.bags, args.out, config, parse_vary(args.vary, config),
                    methods_of(args.methods), args.labels, args.grouped, not args.no_dynamic,

@@ -1,5 +1,8 @@
 """All of the numba machinery: one decorator, one way to use several cores, one warm-up."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 import ctypes
 import functools
@@ -9,6 +12,7 @@ import os
 from pathlib import Path
 import tempfile
 import threading
+from typing import Any
 
 import numba
 import numpy as np
@@ -21,7 +25,7 @@ _threads = 0
 _own = threading.local()
 
 
-def kernel(function):
+def kernel(function: Callable[..., Any]) -> Any:
     """
     Compile *function* once for the types it is first called with; it releases the GIL.
 
@@ -32,7 +36,7 @@ def kernel(function):
     return KERNELS[-1]
 
 
-def cached(function):
+def cached(function: Callable[..., Any]) -> Any:
     """Compile a function of any part of the package; the result goes to the kernels' folder."""
     before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, cache_folder()
     try:
@@ -42,7 +46,7 @@ def cached(function):
 
 
 @functools.cache
-def cache_folder():
+def cache_folder() -> str:
     """
     Return the folder of the compiled kernels: the user's cache, else a temporary one.
 
@@ -70,7 +74,7 @@ def cache_folder():
     return str(folder)      # numba says what is wrong with it
 
 
-def mark_complete():
+def mark_complete() -> None:
     """Note that every kernel has been compiled, so that nobody is told of it again."""
     try:
         Path(cache_folder(), COMPLETE).touch()
@@ -78,7 +82,7 @@ def mark_complete():
         pass
 
 
-def inlined(function):
+def inlined(function: Callable[..., Any]) -> Any:
     """
     Compile *function* into the kernels that call it.
 
@@ -90,31 +94,31 @@ def inlined(function):
     return numba.njit(nogil=True, error_model='numpy', forceinline=True)(function)
 
 
-def signatures():
+def signatures() -> Any:
     """Return {kernel name: number of compiled versions}; 1 each, or something is wrong."""
     return {f'{k.__module__}.{k.__name__}': len(k.signatures) for k in KERNELS}
 
 
-def set_threads(number):
+def set_threads(number: int) -> None:
     """Use *number* threads for the kernels that can be split; 0: one per core, 8 at most."""
     global _threads, _pool
     _threads = int(number) or min(8, len(os.sched_getaffinity(0)))
     _pool = ThreadPoolExecutor(_threads, 'kernel') if _threads > 1 else None
 
 
-def threads():
+def threads() -> int:
     """Return the number of threads in use."""
     if not _threads:
         set_threads(int(os.environ.get('PERSEM_THREADS', '0')))
     return _threads
 
 
-def work_alone():
+def work_alone() -> None:
     """Let split() use the calling thread only, from now on: for work that is in no hurry."""
     _own.alone = True
 
 
-def split(function, n, *arguments, grain=4096):
+def split(function: Any, n: int, *arguments: Any, grain: int = 4096) -> list[None]:
     """
     Call function(start, stop, *arguments) over slices of range(n), one thread a slice.
 
@@ -132,7 +136,7 @@ def split(function, n, *arguments, grain=4096):
     return [first] + [job.result() for job in jobs]
 
 
-def keep_memory():
+def keep_memory() -> None:
     """
     Have the C library keep freed memory for the next frame instead of giving it back.
 
@@ -152,7 +156,7 @@ def keep_memory():
 class Announcement:
     """Say that kernels are being compiled, but only when it takes long enough to be noticed."""
 
-    def __enter__(self):
+    def __enter__(self) -> Announcement:
         """Start the clock, unless the kernels are in the cache and only have to be loaded."""
         self._timer = threading.Timer(1.5, log.warning, [
             'compiling the kernels, once (up to 20 s); later starts load them from a cache'])
@@ -161,6 +165,6 @@ class Announcement:
             self._timer.start()
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *_: Any) -> None:
         """Stop the clock."""
         self._timer.cancel()

@@ -1,9 +1,14 @@
 """Rigid transforms as 4x4 matrices, quaternions as x y z w."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
+
 import numpy as np
+from numpy.typing import NDArray
 
 
-def quaternion_to_matrix(q):
+def quaternion_to_matrix(q: NDArray[np.float64] | Sequence[float]) -> NDArray[np.float64]:
     """Return the 3x3 rotation of the unit quaternion (x, y, z, w)."""
     x, y, z, w = q
     return np.array([
@@ -12,7 +17,7 @@ def quaternion_to_matrix(q):
         [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]])
 
 
-def matrix_to_quaternion(R):
+def matrix_to_quaternion(R: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the unit quaternion (x, y, z, w), w >= 0, of a 3x3 rotation."""
     m = np.asarray(R, float)
     trace = m[0, 0] + m[1, 1] + m[2, 2]
@@ -32,7 +37,8 @@ def matrix_to_quaternion(R):
     return -q if q[3] < 0 else q
 
 
-def transform(translation, q):
+def transform(translation: NDArray[np.float64] | Sequence[float],
+              q: NDArray[np.float64] | Sequence[float]) -> NDArray[np.float64]:
     """Return the 4x4 matrix of a translation (3,) and a unit quaternion (x, y, z, w)."""
     T = np.eye(4)
     T[:3, :3] = quaternion_to_matrix(q)
@@ -40,7 +46,7 @@ def transform(translation, q):
     return T
 
 
-def inverse(T):
+def inverse(T: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the inverse of a rigid 4x4 transform."""
     R = T[:3, :3].T
     result = np.eye(4)
@@ -49,7 +55,8 @@ def inverse(T):
     return result
 
 
-def slerp(q0, q1, fraction):
+def slerp(
+        q0: NDArray[np.float64], q1: NDArray[np.float64], fraction: float) -> NDArray[np.float64]:
     """Interpolate between unit quaternions along the shorter arc."""
     q0, q1 = np.asarray(q0, float), np.asarray(q1, float)
     dot = float(q0 @ q1)

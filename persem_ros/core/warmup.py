@@ -1,5 +1,7 @@
 """Running every kernel once, so that the first real frame need not wait for a compiler."""
 
+from __future__ import annotations
+
 import numpy as np
 from persem_ros.core.frame.images import placed, points
 from persem_ros.core.frame.observe import observe
@@ -15,7 +17,7 @@ from persem_ros.frames import Frame, pinhole
 from persem_ros.settings.config import Memory, METHODS, Refine
 
 
-def warm_up():
+def warm_up() -> None:
     """
     Compile all kernels of the core, or load them from the cache.
 

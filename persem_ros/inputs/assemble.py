@@ -1,7 +1,10 @@
 """Messages of one instant to a Frame; the last step of the way in, live and in a replay."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from functools import partial
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +20,9 @@ from persem_ros.inputs.sync.pairing import (
 from persem_ros.inputs.views import CAMERAS_KEPT, Views
 from persem_ros.settings.config import Config
 from persem_ros.settings.legend import Legend
+
+if TYPE_CHECKING:
+    from persem_ros.inputs.sync.pairing import Match
 
 NamesAt = Callable[[int, int], tuple[Legend, NDArray[np.int32] | None]]
 
@@ -48,23 +54,23 @@ class Assembler:
         self.reader, self._truth_reader = LabelReader(config.labels), LabelReader(config.labels)
 
     @property
-    def frame_id(self):
+    def frame_id(self) -> str:
         """Return the frame of the first camera info, None before it has come."""
         return self._views.frame_id
 
-    def add_info(self, info):
+    def add_info(self, info: Any) -> None:
         """Use *info* for images from its stamp on; refuse (BadMessage) an unusable one."""
         self._views.add(info)
 
-    def add_labels_info(self, info):
+    def add_labels_info(self, info: Any) -> None:
         """Use *info*, of the labels' own camera, in the same way."""
         self._label_views.add(info)
 
-    def depth(self, msg) -> NDArray[np.float64]:
+    def depth(self, msg: Any) -> NDArray[np.float64]:
         """Return the depth image of a message in metres (H, W), as depth.scale has it."""
         return messages.depth(msg, self._depth.scale)
 
-    def frame(self, match, decoded):
+    def frame(self, match: Match, decoded: dict[str, Any]) -> tuple[Frame, list[Any]]:
         """
         Return the Frame of a match.
 
@@ -91,7 +97,7 @@ class Assembler:
         label_msg = decoded[LABELS]
         legend, new = self._names_at(match.stamp, getattr(match.items.get(LABELS), 'tables', 0))
 
-        def ids(msg, reader=self.reader):
+        def ids(msg: Any, reader: Any = self.reader) -> Any:
             found, encoding = reader(msg, legend)
             return renamed(found, new), encoding
 
@@ -112,7 +118,7 @@ class Assembler:
                      weights=_weights(labels, decoded.get(CONFIDENCE)),
                      T_body_camera=match.T_body_camera, **companions), faults
 
-    def _placed(self, match, decoded, shape):
+    def _placed(self, match: Any, decoded: Any, shape: Any) -> Any:
         """Return depth image, camera and Matching for labels of a *shape* (H, W)."""
         label_msg, depth_msg, T = decoded[LABELS], decoded[DEPTH], match.T_labels_depth
         if is_cloud(depth_msg):
@@ -130,14 +136,14 @@ class Assembler:
                                   self._label_view(label_msg, depth_msg, T, shape), T)
         return depth, view, matching
 
-    def _label_view(self, label_msg, depth_msg, T, shape):
+    def _label_view(self, label_msg: Any, depth_msg: Any, T: Any, shape: Any) -> Any:
         """Return the View of labels of another camera than the depth's."""
         if self._label_views.frame_id is None:
             frames = messages.frame_id(label_msg), messages.frame_id(depth_msg)
             raise BadMessage('labels of another camera', other_camera_sentence(*frames, T))
         return self._label_views.of(label_msg, *shape[::-1])
 
-    def _cloud(self, match, msg, new):
+    def _cloud(self, match: Any, msg: Any, new: Any) -> Any:
         """Return the Frame of a labelled cloud."""
         cloud = clouds.structured(msg)
         points = clouds.positions(cloud)
@@ -158,7 +164,7 @@ class Assembler:
             self._matchings[key] = fit.matching(labels, depth, self._fit)
         return self._matchings[key]
 
-    def _distrust(self, depth: NDArray[np.float64], msg) -> None:
+    def _distrust(self, depth: NDArray[np.float64], msg: Any) -> None:
         """Take out of *depth* what its confidence image says is not to be trusted."""
         least = self._depth.min_confidence
         if msg is None or not least:
@@ -171,12 +177,12 @@ class Assembler:
         trust = resampled(trust, depth.shape)
         depth[~((trust if least > 0 else -trust) >= least)] = np.nan
 
-    def seen(self, depth_msg) -> tuple[NDArray[np.float64], Camera]:
+    def seen(self, depth_msg: Any) -> tuple[NDArray[np.float64], Camera]:
         """Return depth (H, W), metres along the optical axis, and camera of a depth message."""
         depth = self.depth(depth_msg)
         return depth, self._seen(depth_msg, depth)
 
-    def _seen(self, depth_msg, depth: NDArray[np.float64]) -> Camera:
+    def _seen(self, depth_msg: Any, depth: NDArray[np.float64]) -> Camera:
         """Return the Camera of a depth image and make what it holds depth along the axis."""
         view = self._views.of(depth_msg, *depth.shape[::-1])
         if view.blind is not None:
@@ -186,7 +192,7 @@ class Assembler:
         return view.camera
 
 
-def is_cloud(msg) -> bool:
+def is_cloud(msg: Any) -> bool:
     """Return whether a message is a sensor_msgs/PointCloud2."""
     return hasattr(msg, 'point_step')
 
@@ -200,7 +206,7 @@ def other_camera_sentence(labels: str, depth: str, T_labels_depth: NDArray[np.fl
             'image, for which the intrinsics of that are needed: --set topics.labels_info=TOPIC')
 
 
-def resampled(labels, shape):
+def resampled(labels: NDArray[np.int32], shape: tuple[int, int]) -> NDArray[np.int32]:
     """Return *labels* (H, W) on a grid of another *shape* by nearest pixel centres."""
     if labels.shape == shape:
         return labels
@@ -209,7 +215,7 @@ def resampled(labels, shape):
     return labels[rows[:, None], columns]
 
 
-def _weights(labels: NDArray[np.int32], msg) -> NDArray[np.uint32] | None:
+def _weights(labels: NDArray[np.int32], msg: Any) -> NDArray[np.uint32] | None:
     """Return the weights of labels (H, W) that a confidence message has, None without."""
     if msg is None:
         return None
@@ -226,9 +232,9 @@ def _wide(encoding: str, new: NDArray[np.int32] | None) -> str:
     return 'mono16' if new is not None and encoding in ('mono8', '8UC1') else encoding
 
 
-def _truth_like(labels, ids):
+def _truth_like(labels: NDArray[np.int32], ids: Any) -> Callable[..., Any]:
     """Return a reader of truth images on the grid of *labels*; ids(msg) reads one."""
-    def read(msg):
+    def read(msg: Any) -> NDArray[np.int32]:
         truth, _ = ids(msg)
         if not same_aspect(truth.shape[::-1], labels.shape[::-1]):
             raise BadMessage('shape differs from the labels', f'a truth image has the size '
@@ -238,7 +244,9 @@ def _truth_like(labels, ids):
     return read
 
 
-def _named(kind, read, msg):
+def _named(
+        kind: str, read: Callable[..., Any], msg: Any
+) -> NDArray[Any] | tuple[NDArray[np.int32], str]:
     """Read a message; a fault's reason starts with the topic's *kind*."""
     try:
         return read(msg)

@@ -1,11 +1,13 @@
 """The way in, from serialized messages to frames; live and replay share every line of it."""
 
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
 from functools import partial
 import heapq
-from typing import NamedTuple
+from typing import Any, NamedTuple, TYPE_CHECKING
 
 import numpy as np
-
 from persem_ros.core.transforms import inverse
 from persem_ros.inputs.assemble import Assembler
 from persem_ros.inputs.decode import clouds, legends, messages
@@ -15,6 +17,14 @@ from persem_ros.inputs.sync.pairing import (
     COLOR, CONFIDENCE, DEPTH, DEPTH_CONFIDENCE, KEEP, LABELS, repeated, Synchronizer, TRUTH)
 from persem_ros.inputs.sync.poses import NO_MOUNT, OTHER_FRAME, UNSAID
 from persem_ros.inputs.sync.track import Lookup
+
+if TYPE_CHECKING:
+    from collections import Counter
+
+    from persem_ros.frames import Frame
+    from persem_ros.inputs.sync.pairing import Match
+    from persem_ros.inputs.sync.poses import PoseBuffer
+    from persem_ros.settings.config import Config
 
 # At one stamp: whatever completes goes last.
 ORDER = {TRUTH: 0, COLOR: 1, CONFIDENCE: 2, DEPTH_CONFIDENCE: 3, DEPTH: 4, LABELS: 5}
@@ -54,7 +64,8 @@ class Station:
 
     """
 
-    def __init__(self, synchronizer, assembler, poses):
+    def __init__(
+            self, synchronizer: Synchronizer, assembler: Assembler, poses: PoseBuffer) -> None:
         """Keep them together."""
         self.sync = synchronizer
         self.assembler = assembler
@@ -94,8 +105,9 @@ class Intake:
 
     """
 
-    def __init__(self, config, decode, dropped, patient=False, pose_wait=None, keep=KEEP,
-                 max_bytes=QUEUE_BYTES):
+    def __init__(self, config: Config, decode: Callable[..., Any], dropped: Counter[Any],
+                 patient: bool = False, pose_wait: float | None = None, keep: float = KEEP,
+                 max_bytes: int = QUEUE_BYTES) -> None:
         """Start without cameras."""
         self.config = config
         self.stations = []
@@ -108,11 +120,12 @@ class Intake:
         self._missed = {}       # reason -> what a lookup without a pose was for
 
     @property
-    def offset(self):
+    def offset(self) -> Any:
         """Return what is added to the stamps of label images, ns."""
         return round(self.config.sync.offset_labels * 1e9)
 
-    def add_camera(self, name, poses, companions=(), needed=(DEPTH,)):
+    def add_camera(self, name: str, poses: PoseBuffer, companions: list[str] = (),
+                   needed: Any = (DEPTH,)) -> Station:
         """
         Add a camera whose poses come from the PoseBuffer *poses*; return its Station.
 
@@ -126,7 +139,9 @@ class Intake:
         self.stations.append(Station(sync, assembler, poses))
         return self.stations[-1]
 
-    def take(self, role, taker, kind, now, data):
+    def take(
+            self, role: str, taker: Station | PoseBuffer, kind: str, now: int, data: bytes
+    ) -> None:
         """
         Take one message; call `leaving` afterwards.
 
@@ -149,7 +164,7 @@ class Intake:
         except BadMessage as fault:
             self._drop(role, fault)
 
-    def leaving(self, now, last=False):
+    def leaving(self, now: int, last: bool = False) -> Iterator[Frame]:
         """Yield the frames that can leave at time *now*, over all cameras in stamp order."""
         for number, station in enumerate(self.stations):
             for match in station.sync.flush() if last else station.sync.advance(now):
@@ -164,44 +179,46 @@ class Intake:
             if frame is not None:
                 yield frame
 
-    def may_leave(self, stamp, number, match, now):
+    def may_leave(self, stamp: Any, number: Any, match: Any, now: Any) -> None:
         """Whether no camera can have an earlier match than this one of camera *number*."""
         raise NotImplementedError
 
-    def wanted(self, match, number):
+    def wanted(self, match: Match, number: Any) -> bool:
         """Whether a match that leaves, of camera *number*, is to become a frame."""
         return True
 
-    def left(self, station, stamp):
+    def left(self, station: Any, stamp: Any) -> None:
         """Take note that the match of *stamp* has left."""
 
-    def oldest_pending(self, default):
+    def oldest_pending(self, default: int) -> int:
         """Return the earliest stamp of a label image held, *default* where none is."""
         pending = (station.sync.first_pending for station in self.stations)
         return min((stamp for stamp in pending if stamp is not None), default=default)
 
-    def push_image(self, station, role, stamp, raw, now):
+    def push_image(self, station: Station, role: str, stamp: int, raw: Raw, now: int) -> None:
         """Hand an image to its synchroniser."""
         station.sync.push(role, stamp, raw, len(raw.data), now)
 
-    def no_mount(self, reason, sentence):
+    def no_mount(self, reason: Any, sentence: Any) -> None:
         """Tell that poses do not lead to the camera, yet: *sentence* says what is missing."""
         self.examples[reason] = sentence
 
-    def explain(self):
+    def explain(self) -> None:
         """Write to `examples` why frames had no pose."""
         for reason, (poses, stamp, frame_id) in self._missed.items():
             if reason in self.dropped:
                 self.examples[reason] = poses.explain(stamp, frame_id)
         self._missed.clear()
 
-    def clear(self):
+    def clear(self) -> None:
         """Forget all images held (the clock went back)."""
         self._ready.clear()
         for station in self.stations:
             station.sync.clear()
 
-    def _take(self, role, taker, kind, now, data):
+    def _take(
+            self, role: str, taker: Station | PoseBuffer, kind: str, now: int, data: bytes
+    ) -> None:
         if role in ORDER:
             stamp, frame_id = messages.header(data)
             at = stamp + (self.offset if role == LABELS else 0)
@@ -230,7 +247,7 @@ class Intake:
             for fault in faults:
                 self._drop(role, fault)
 
-    def _lookup(self, poses, assembler, match):
+    def _lookup(self, poses: PoseBuffer, assembler: Assembler, match: Match) -> Lookup:
         """Return the pose of a match, once its camera is known."""
         labels, depth = match.items[LABELS], match.items.get(DEPTH)
         info_frame = assembler.frame_id
@@ -246,7 +263,7 @@ class Intake:
             return found
         return self._tied(poses, match, found, frame_id, other, lidar)
 
-    def _found(self, poses, stamp, frame_id):
+    def _found(self, poses: Any, stamp: Any, frame_id: Any) -> Any:
         """Return the pose of a frame; where there is none, remember why."""
         found = poses.lookup(stamp, frame_id)
         if found.reason in (NO_MOUNT, UNSAID):
@@ -262,7 +279,9 @@ class Intake:
             return Lookup(None, True, TOO_FAR)
         return found
 
-    def _tied(self, poses, match, found, frame_id, other, lidar):
+    def _tied(
+            self, poses: Any, match: Any, found: Any, frame_id: Any, other: Any, lidar: Any
+    ) -> Any:
         """
         Note how the depth of a match is seen by the labels' camera; return the depth's pose.
 
@@ -289,12 +308,12 @@ class Intake:
         match.T_labels_depth = T
         return then
 
-    def _within(self, T):
+    def _within(self, T: Any) -> Any:
         """Return whether a pose (4, 4) is where voxels can be numbered."""
         away = np.abs(T[:3, 3] - np.array(self.config.map.origin)).max()
         return bool(away < VOXELS * self.config.memory.voxel_size)
 
-    def _frame(self, station, match):
+    def _frame(self, station: Station, match: Match) -> Frame | None:
         """Return the decoded frame of a match, None where it cannot be used."""
         decoded = {}
         try:
@@ -313,10 +332,10 @@ class Intake:
             self._count(fault)
         return frame
 
-    def _drop(self, role, fault):
+    def _drop(self, role: Any, fault: Any) -> None:
         """Count a fault of a message whose reason does not yet say which kind it was."""
         self._count(fault if role == INFO else BadMessage(f'{role}: {fault.reason}', str(fault)))
 
-    def _count(self, fault):
+    def _count(self, fault: Any) -> None:
         self.dropped[fault.reason] += 1
         self.examples.setdefault(fault.reason, str(fault))

@@ -1,8 +1,10 @@
 """Frames from messages as they arrive, in any order, also when time goes back."""
 
+from __future__ import annotations
+
 from functools import partial
 import time
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from persem_ros.inputs.decode import messages
 from persem_ros.inputs.decode.messages import BadMessage
@@ -52,8 +54,8 @@ class LiveIntake(Intake):
 
     """
 
-    def __init__(self, config, decode, dropped, on_jump, clock=time.time_ns,
-                 steady=time.monotonic_ns):
+    def __init__(self, config: Any, decode: Any, dropped: Any, on_jump: Any,
+                 clock: Any = time.time_ns, steady: Any = time.monotonic_ns) -> None:
         """Start without cameras."""
         super().__init__(config, decode, dropped)
         self.jumps = 0
@@ -69,11 +71,12 @@ class LiveIntake(Intake):
         self._jump = None
 
     @property
-    def lateness(self):
+    def lateness(self) -> Any:
         """Return the ns that depth images take where that is seconds, 0 where it is not."""
         return max((clocks.late for clocks in self._clocks.values()), default=0)
 
-    def add_camera(self, name, poses, companions=(), needed=(DEPTH,)):
+    def add_camera(
+            self, name: Any, poses: Any, companions: Any = (), needed: Any = (DEPTH,)) -> Any:
         """Add a camera, as in Intake."""
         station = super().add_camera(name, poses, companions, needed)
         self._partners[station] = Partners(KEEP)
@@ -82,7 +85,7 @@ class LiveIntake(Intake):
         station.sync.configure(self.config.sync, self.config.sync.queue_bytes)
         return station
 
-    def take(self, role, taker, kind, now, data):
+    def take(self, role: Any, taker: Any, kind: Any, now: Any, data: Any) -> None:
         """Take one message, as in Intake; notices when time goes back."""
         if role not in TIMED:
             super().take(role, taker, kind, now, data)
@@ -109,7 +112,7 @@ class LiveIntake(Intake):
             self._take_now(*odd)
         self._take_now(role, taker, kind, now, data)
 
-    def may_leave(self, stamp, number, match, now):
+    def may_leave(self, stamp: Any, number: Any, match: Any, now: Any) -> Any:
         """Whether the other cameras have nothing earlier, or were waited for long enough."""
         waited = now - match.complete >= self._hold
         for other, station in enumerate(self.stations):
@@ -123,7 +126,7 @@ class LiveIntake(Intake):
                 return False
         return True
 
-    def wanted(self, match, number):
+    def wanted(self, match: Any, number: Any) -> Any:
         """Whether a match is young enough to become a frame."""
         now = self._steady()
         if self._backlog.late(now - match.ready, now, round(self.config.sync.queue * 1e9)):
@@ -131,11 +134,11 @@ class LiveIntake(Intake):
             return False
         return True
 
-    def few_depths(self):
+    def few_depths(self) -> Any:
         """Return (depth images, label images) of a camera that gets too few depth images."""
         return next((few for few in (p.lost() for p in self._partners.values()) if few), None)
 
-    def configure(self, config):
+    def configure(self, config: Any) -> None:
         """Go on with other settings sync.* and pose.*."""
         self.config = config
         self._wait = round(config.sync.max_wait * 1e9)
@@ -145,7 +148,7 @@ class LiveIntake(Intake):
             station.poses.configure(config.pose)
             self._clocks[station.assembler].configure(config.pose.max_ahead)
 
-    def clear(self):
+    def clear(self) -> None:
         """Forget everything that was held and heard; static transforms and infos stay."""
         super().clear()
         self._heard.clear()
@@ -156,7 +159,7 @@ class LiveIntake(Intake):
         for buffer in {id(s.poses): s.poses for s in self.stations}.values():
             buffer.clear()
 
-    def _take_now(self, role, taker, kind, now, data):
+    def _take_now(self, role: Any, taker: Any, kind: Any, now: Any, data: Any) -> None:
         if role == LABELS:
             stamp = messages.header(data)[0] + self.offset
             latest, _ = self._heard.get(id(taker), (stamp, 0))
@@ -169,7 +172,7 @@ class LiveIntake(Intake):
             self._clocks[taker.assembler].image(stamp, taker.poses.newest(frame_id), came, now)
         super().take(role, taker, kind, now, data)
 
-    def _is_stale(self, key, stamp, now):
+    def _is_stale(self, key: Any, stamp: Any, now: Any) -> Any:
         """Whether a message was sent before time went back, as another topic has shown."""
         jump = self._jump
         if jump is None or key in jump.renewed or now - jump.at > self._wait:
@@ -178,13 +181,13 @@ class LiveIntake(Intake):
             jump.renewed.add(key)
         return stamp > jump.middle
 
-    def _go_back(self, now, middle, key):
+    def _go_back(self, now: Any, middle: Any, key: Any) -> None:
         self._jump = _Jump(now, middle, {key})
         self.jumps += 1
         self.clear()
         self._on_jump()
 
-    def _lookup(self, poses, assembler, match):
+    def _lookup(self, poses: Any, assembler: Any, match: Any) -> Any:
         """Return the pose of a match, as in Intake; none of another clock."""
         clocks = self._clocks[assembler]
         if clocks.ahead:
@@ -192,7 +195,7 @@ class LiveIntake(Intake):
             return Lookup(None, True, ANOTHER_CLOCK)
         return super()._lookup(poses, assembler, match)
 
-    def _explain_drop(self, station, match, reason):
+    def _explain_drop(self, station: Any, match: Any, reason: Any) -> None:
         """Write to `examples` why a label image was dropped, where that takes a look around."""
         partners, sync = self._partners[station], self.config.sync
         if reason == NO_DEPTH:
@@ -200,16 +203,16 @@ class LiveIntake(Intake):
         elif reason == QUEUE_FULL:
             self.examples[reason] = full_sentence(sync)
 
-    def explain(self):
+    def explain(self) -> None:
         """Write to `examples` why frames and images were dropped."""
         super().explain()
         self.examples[f'{DEPTH}: {QUEUE_FULL}'] = full_sentence(self.config.sync)
 
-    def _drop_reason(self, role, reason):
+    def _drop_reason(self, role: Any, reason: Any) -> None:
         self.dropped[reason if role == LABELS else f'{role}: {reason}'] += 1
 
 
-def full_sentence(sync):
+def full_sentence(sync: Any) -> Any:
     """Return what to do where images that wait for their partners fill the queue."""
     return ('depth images wait for their labels and fill the queue; sync.queue_bytes is '
             f'{sync.queue_bytes}: --set sync.queue_bytes={2 * sync.queue_bytes}')

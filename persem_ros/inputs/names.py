@@ -11,7 +11,6 @@ from persem_ros.inputs.decode.legends import Table
 from persem_ros.settings.config import Config
 from persem_ros.settings.legend import Legend, LegendClass
 
-
 KEPT = 1000     # tables: some publish one with every image
 
 

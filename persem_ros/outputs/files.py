@@ -1,16 +1,20 @@
 """Files that appear under their name only when they are whole."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from glob import escape
 import json
 import os
 from pathlib import Path
+from typing import Any
 
 from persem_ros.errors import PersemError
 
 
 @contextmanager
-def replacing(path):
+def replacing(path: Path | str) -> Iterator[Path]:
     """
     Give a temporary name beside *path*; when the block ends well, that file takes its place.
 
@@ -51,7 +55,7 @@ def replacing(path):
             work.unlink()
 
 
-def write_bytes(path, *parts):
+def write_bytes(path: Path | str, *parts: Any) -> None:
     """Write bytes-like *parts* one after the other as the file *path*, whole or not at all."""
     with replacing(path) as work:
         with open(work, 'wb') as out:
@@ -59,12 +63,12 @@ def write_bytes(path, *parts):
                 out.write(part)
 
 
-def write_text(path, text):
+def write_text(path: Path, text: str) -> None:
     """Write *text* as the file *path* (UTF-8), whole or not at all."""
     write_bytes(path, text.encode('utf-8'))
 
 
-def write_json(path, value):
+def write_json(path: Path, value: dict[str, Any]) -> None:
     """
     Write *value* as JSON, whole or not at all; None becomes null.
 
@@ -77,7 +81,7 @@ def write_json(path, value):
     write_text(path, json.dumps(value, indent=2, allow_nan=False) + '\n')
 
 
-def _sync(path):
+def _sync(path: Path) -> None:
     """Have the system write a file's or folder's content to the disk now."""
     handle = os.open(path, os.O_RDONLY)
     try:
@@ -86,7 +90,7 @@ def _sync(path):
         os.close(handle)
 
 
-def _remove_left_behind(path):
+def _remove_left_behind(path: Path) -> None:
     """Remove what writers of *path* left that were killed."""
     for left in path.parent.glob(f'.{escape(path.name)}.*.partial*'):
         pid = left.name[len(path.name) + 2:].partition('.')[0]

@@ -1,15 +1,20 @@
 """One progress bar for all that takes long: on a terminal only, with log lines above it."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator
 from contextlib import closing, contextmanager, ExitStack
 import logging
 import sys
+from typing import Any
 
 from tqdm import tqdm
 from tqdm.contrib.logging import logging_redirect_tqdm
 
 
 @contextmanager
-def progress(items, what, expected, unit='frames'):
+def progress(
+        items: Iterator[Any], what: str, expected: int, unit: str = 'frames') -> Iterator[Any]:
     """
     Give *items* to be looped over, with a bar on a terminal and nothing elsewhere.
 

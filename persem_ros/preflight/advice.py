@@ -1,11 +1,21 @@
 """What a user should know of a run that went through: ids, legend, voxel size, far places."""
 
+from __future__ import annotations
+
 from collections import Counter
+from collections.abc import Iterator
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
-
+from numpy.typing import NDArray
 from persem_ros.frames import MAX_ID
 from persem_ros.preflight.voxel_fit import VoxelFit
+
+if TYPE_CHECKING:
+    from persem_ros.core.memory.voxel_memory import VoxelMemory
+    from persem_ros.frames import Frame
+    from persem_ros.settings.config import Config
+    from persem_ros.settings.legend import Legend
 
 SIGNED = ('16SC1', '32SC1')     # encodings with ids that are out of range and not "no label"
 COARSE = 0.05                   # share of a voxel to which map points should be exact
@@ -22,13 +32,13 @@ class Advice:
 
     """
 
-    def __init__(self, config, legend):
+    def __init__(self, config: Config, legend: Legend) -> None:
         self._config, self._legend = config, legend
         self._odd = Counter()
         self._far = None
         self._fit = VoxelFit(config.memory)
 
-    def frame(self, frame):
+    def frame(self, frame: Frame) -> None:
         """Look at one that was integrated, a persem_ros.frames.Frame."""
         if frame.encoding in SIGNED:
             self._count(frame.labels)
@@ -37,7 +47,7 @@ class Advice:
         if self._far is None and self._step(position) > COARSE * self._config.memory.voxel_size:
             self._far = position
 
-    def sentences(self, seen_ids):
+    def sentences(self, seen_ids: NDArray[np.uint8]) -> list[str]:
         """
         Return what there is to say, a list of sentences.
 
@@ -49,23 +59,23 @@ class Advice:
         """
         return [*self._about_ids(), *self._about_flags(seen_ids), *self._about_places()]
 
-    def about_voxels(self, memory):
+    def about_voxels(self, memory: VoxelMemory) -> list[Any]:
         """Return what there is to say of the voxels' size: known as soon as the map is whole."""
         return list(self._fit.sentences(memory))
 
-    def _count(self, labels):
+    def _count(self, labels: Any) -> None:
         odd = (labels < 0) | (labels > MAX_ID)
         if odd.any():
             odd &= ~np.isin(labels, self._config.memory.ignore_labels)
             self._odd['pixels'] += int(np.count_nonzero(odd))
             self._odd['frames'] += bool(odd.any())
 
-    def _about_ids(self):
+    def _about_ids(self) -> Iterator[Any]:
         if self._odd['pixels']:
             yield (f'{self._odd["pixels"]} pixels in {self._odd["frames"]} frames have ids below '
                    f'0 or above {MAX_ID}; they were ignored')
 
-    def _about_flags(self, seen_ids):
+    def _about_flags(self, seen_ids: NDArray[np.uint8]) -> Iterator[str]:
         """Compare the legend's flags with the settings, as far as the ids occur."""
         memory = self._config.memory
         dynamic = tuple(c for c in memory.dynamic_labels if c >= 0)
@@ -78,13 +88,13 @@ class Advice:
                 yield (f'the legend marks {names} as {flag}, the map holds what was seen of it; '
                        f'to leave it out: --set memory.{name}={value}')
 
-    def _about_places(self):
+    def _about_places(self) -> Iterator[Any]:
         if self._far is not None:
             proposal = ','.join(f'{round(x, -3) + 0.0:.0f}' for x in self._far)
             yield (f'positions are so large that map points (float32) are exact to '
                    f'{self._step(self._far):.3g} m only; move the origin with '
                    f'--set map.origin={proposal}')
 
-    def _step(self, position):
+    def _step(self, position: NDArray[np.float64]) -> float:
         """Return the spacing of float32 numbers at a position (3,), metres."""
         return float(np.spacing(np.float32(np.abs(position - self._config.map.origin).max())))

@@ -1,11 +1,18 @@
 """What is in a recording: one row a topic."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any, TYPE_CHECKING
 
 from persem_ros.inputs.decode import messages
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.recording.stamps import stamp_of
 from persem_ros.inputs.recording.topics import COMPRESSED, IMAGE, INFO, POSES, TF, TRIED
+
+if TYPE_CHECKING:
+    from persem_ros.inputs.recording.source import Source
 
 HEADERS = {IMAGE, COMPRESSED, INFO, *POSES.values()}
 SHORTEST = 10**8             # ns; latched messages come in a burst, which is no rate
@@ -36,18 +43,18 @@ class Row:
     previous: int = field(default=None, repr=False)
 
     @property
-    def stamped(self):
+    def stamped(self) -> bool:
         """Whether the messages carry stamps that mean something."""
         moving = self.msgtype == TF and not self.name.endswith('tf_static')
         return self.msgtype in HEADERS or moving
 
     @property
-    def rate(self):
+    def rate(self) -> float:
         """Messages per second between the first and the last stamp, 0 where there is none."""
         span = (self.last or 0) - (self.first or 0)
         return (self.count - 1) * 1e9 / span if span >= SHORTEST else 0.0
 
-    def see(self, stamp):
+    def see(self, stamp: int) -> None:
         """Count a message with *stamp*, None where it has none."""
         self.count += 1
         if stamp is None:
@@ -60,7 +67,7 @@ class Row:
         self.previous = stamp
 
 
-def survey(source, progress=iter):
+def survey(source: Source, progress: Callable[..., Any] = iter) -> list[Row]:
     """
     Walk over a whole recording without reading its images.
 
@@ -88,7 +95,7 @@ def survey(source, progress=iter):
     return list(rows.values())
 
 
-def _try_to_describe(row, source, data):
+def _try_to_describe(row: Row, source: Source, data: bytes) -> None:
     """Fill in what a message tells, unless it is damaged."""
     row.tried += 1
     try:
@@ -98,7 +105,7 @@ def _try_to_describe(row, source, data):
         return
 
 
-def _describe(row, msg):
+def _describe(row: Row, msg: Any) -> None:
     """Fill in what the first message tells."""
     row.encoding = getattr(msg, 'encoding', None) or getattr(msg, 'format', '') or \
         getattr(msg, 'distortion_model', '')
@@ -114,7 +121,7 @@ def _describe(row, msg):
         row.frame = f'{first.header.frame_id} -> {first.child_frame_id}'
 
 
-def _compressed_size(msg):
+def _compressed_size(msg: Any) -> str:
     """Return the size of a compressed image, '' where it cannot be decoded."""
     read = messages.depth if 'compressedDepth' in msg.format else messages.color
     try:

@@ -1,15 +1,24 @@
 """The report of persem info as plain text."""
 
+from __future__ import annotations
+
 from datetime import datetime, timezone
 from shlex import join
+from typing import Any, TYPE_CHECKING
 
 from persem_ros.preflight.findings import NOTE, of_severity, WARN
+
+if TYPE_CHECKING:
+    from persem_ros.inputs.recording.source import Source
+    from persem_ros.inputs.recording.topics import Choice
+    from persem_ros.preflight.contents import Row
 
 COLUMNS = ('topic', 'type', 'messages', 'Hz', 'encoding', 'size', 'frame', 'first', 'last', '')
 PLAUSIBLE = range(10**17, 10**19)      # ns since 1970 that are dates; others are shown as seconds
 
 
-def text(source, rows, choice, lacking, found=(), counts=(), words=()):
+def text(source: Source, rows: list[Row], choice: Choice, lacking: list[str], found: Any = (),
+         counts: Any = (), words: Any = ()) -> str:
     """
     Return the report.
 
@@ -58,7 +67,7 @@ def text(source, rows, choice, lacking, found=(), counts=(), words=()):
     return '\n'.join(lines) + '\n'
 
 
-def _cells(row, start):
+def _cells(row: Row, start: int) -> tuple[str, ...]:
     remarks = [f'{n} {what}' for n, what in ((row.back, 'stamps go back'),
                                              (row.repeated, 'stamps repeat')) if n]
     times = [f'{(stamp - start) / 1e9:+.3f}' if stamp is not None else ''
@@ -68,7 +77,7 @@ def _cells(row, start):
             *times, ', '.join(remarks))
 
 
-def _table(rows):
+def _table(rows: list[tuple[str, ...]]) -> list[str]:
     """Return the rows as aligned lines; numbers to the right."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     right = {COLUMNS.index(name) for name in ('messages', 'Hz', 'first', 'last')}
@@ -77,18 +86,18 @@ def _table(rows):
             for row in rows]
 
 
-def _short(kind):
+def _short(kind: str) -> str:
     return kind.rpartition('/')[2]
 
 
-def _bytes(size):
+def _bytes(size: int) -> str:
     for unit in ('bytes', 'kB', 'MB', 'GB'):
         if size < 1000 or unit == 'GB':
             return f'{size:.0f} {unit}' if unit == 'bytes' else f'{size:.1f} {unit}'
         size /= 1000
 
 
-def _date(stamp):
+def _date(stamp: int) -> str:
     """Return a stamp as UTC; simulated clocks start in 1970 and are shown as seconds."""
     if stamp not in PLAUSIBLE:
         return f'{stamp / 1e9:.3f} s'

@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
-
 from persem_ros.inputs.assemble import is_cloud
 from persem_ros.inputs.decode import messages
 from persem_ros.inputs.decode.camera import check as check_info

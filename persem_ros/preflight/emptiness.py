@@ -1,12 +1,17 @@
 """Why nothing of a recording went into the map: what its pixels lacked, and what to type."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 import math
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
-
 from persem_ros.core.frame.images import counted, on_depth
 from persem_ros.preflight.depth_fit import likely_unit
+
+if TYPE_CHECKING:
+    from persem_ros.settings.config import Memory
 
 SHOWN = 8       # ids in a sentence
 
@@ -21,14 +26,14 @@ class Emptiness:
 
     """
 
-    def __init__(self, settings):
+    def __init__(self, settings: Memory) -> None:
         self._settings = settings
         self._every = replace(settings, stride=1)
         self._low, self._high = math.inf, -math.inf     # of the depths that are measurements
         self._near = self._in_range = self._labelled = self._both = False
         self._ids = set()
 
-    def frame(self, frame):
+    def frame(self, frame: Any) -> None:
         """Look at a persem_ros.frames.Frame that gave no observation."""
         settings, labels = self._settings, on_depth(frame, frame.labels)
         measured = np.isfinite(frame.depth) & (frame.depth > 0.0)
@@ -46,7 +51,7 @@ class Emptiness:
         if len(self._ids) <= SHOWN:
             self._ids.update(np.unique(labels).tolist())
 
-    def sentence(self):
+    def sentence(self) -> Any:
         """Return why nothing was observed."""
         settings = self._settings
         if self._high < 0:
@@ -73,7 +78,7 @@ class Emptiness:
                 'a label that counts, or positions and depths are of no place (a million voxels '
                 'away)')
 
-    def _other_range(self):
+    def _other_range(self) -> Any:
         """Return the options with which the depths would be in range."""
         unit = likely_unit(self._low, self._high, self._settings)
         if unit:
@@ -85,13 +90,13 @@ class Emptiness:
         return ''
 
 
-def _up(metres):
+def _up(metres: Any) -> Any:
     """Return the next larger number of two digits, as text."""
     step = 10.0 ** (math.floor(math.log10(metres)) - 1)
     return f'{math.ceil(metres / step) * step:.6g}'
 
 
-def _down(metres):
+def _down(metres: Any) -> Any:
     """Return the next smaller number of two digits, as text."""
     step = 10.0 ** (math.floor(math.log10(metres)) - 1)
     return f'{math.floor(metres / step) * step:.6g}'

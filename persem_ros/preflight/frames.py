@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 
 import numpy as np
-
 from persem_ros.preflight.depth import is_cloud_of
 from persem_ros.preflight.findings import Finding, NOTE, REFUSE, Remedy, WARN
 from persem_ros.preflight.sample import Sample, View

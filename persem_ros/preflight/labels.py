@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 
 import numpy as np
-
 from persem_ros.inputs import fit
 from persem_ros.inputs.assemble import is_cloud, other_camera_sentence
 from persem_ros.inputs.decode import clouds, messages

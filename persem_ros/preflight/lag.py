@@ -5,7 +5,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-
 from persem_ros.preflight.findings import Finding, REFUSE, Remedy, WARN
 from persem_ros.preflight.sample import Sample, Stamps, View
 

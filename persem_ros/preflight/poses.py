@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-
 from persem_ros.core.agreement import misses, WORST
 from persem_ros.core.transforms import inverse
 from persem_ros.inputs.decode import messages

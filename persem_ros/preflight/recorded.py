@@ -6,7 +6,6 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
-
 from persem_ros.inputs import names
 from persem_ros.inputs.assemble import Assembler
 from persem_ros.inputs.decode import messages

@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-
 from persem_ros.frames import Camera
 from persem_ros.inputs.decode import messages
 from persem_ros.inputs.sync.poses import PoseBuffer

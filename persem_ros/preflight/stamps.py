@@ -4,7 +4,6 @@ from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
-
 from persem_ros.preflight.findings import Finding, REFUSE, WARN
 from persem_ros.preflight.lag import distances
 from persem_ros.preflight.sample import Sample, Stamps, View

@@ -1,8 +1,17 @@
 """Whether the voxels suit the recording: neither coarse for its pixels nor too fine for it."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator
 import math
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from persem_ros.core.memory.voxel_memory import VoxelMemory
+    from persem_ros.frames import Frame
+    from persem_ros.settings.config import Memory
 
 EVERY = 8           # pixels between those whose depth is looked at
 PIXELS = 60.0       # across a voxel: more is coarse
@@ -22,11 +31,11 @@ class VoxelFit:
 
     """
 
-    def __init__(self, settings):
+    def __init__(self, settings: Memory) -> None:
         self._settings = settings
         self._depths, self._footprints = [], []     # by frame, metres
 
-    def frame(self, frame):
+    def frame(self, frame: Frame) -> None:
         """Look at a frame that was integrated, a persem_ros.frames.Frame."""
         if frame.points is not None:
             return      # of a cloud, whose points are no pixels of any size
@@ -38,7 +47,7 @@ class VoxelFit:
             self._depths.append(middle)
             self._footprints.append(settings.stride * middle / float(frame.camera.K[0, 0]))
 
-    def sentences(self, memory):
+    def sentences(self, memory: VoxelMemory) -> Iterator[Any]:
         """Yield what there is to say of the voxels of a core.memory.voxel_memory.VoxelMemory."""
         if not self._depths or not memory.n_voxels:
             return
@@ -57,7 +66,7 @@ class VoxelFit:
                    'that does not help, are the poses right?')
 
 
-def _rounded(metres):
+def _rounded(metres: Any) -> Any:
     """Return a length rounded to one digit, at least the smallest voxel, as text."""
     step = 10.0 ** math.floor(math.log10(metres))
     return f'{max(round(metres / step) * step, 1e-3):.6g}'

@@ -1,5 +1,9 @@
 """The image front end: a label and a depth image become labelled points (spec section 1)."""
 
+from __future__ import annotations
+
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.frame.observe import key_of, place, placing
@@ -10,7 +14,7 @@ from persem_ros.frames import Frame, IGNORED, MAX_ID, same_aspect
 from persem_ros.settings.config import Memory
 
 
-def points(frame, settings):
+def points(frame: Frame, settings: Memory) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """
     Return the labelled points of a frame, one per depth pixel.
 
@@ -32,7 +36,7 @@ def points(frame, settings):
     return backprojected(frame, settings), counted_labels(frame, settings)
 
 
-def counted_labels(frame, settings):
+def counted_labels(frame: Frame, settings: Memory) -> NDArray[np.int32]:
     """Return the labels alone, as in points(); a label without weight does not count."""
     labels = counted(on_depth(frame, frame.labels), settings).reshape(-1)
     if frame.weights is not None:
@@ -72,7 +76,8 @@ def on_labels(frame: Frame, image: NDArray, fill: int) -> NDArray:
     return taken
 
 
-def placed(frame, settings, voxel_size, origin, offsets=None):
+def placed(frame: Frame, settings: Memory, voxel_size: float, origin: tuple[float, float, float],
+           offsets: Any = None) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """
     Return the voxels of a frame's pixels as (keys, base) of core.frame.observe.place().
 
@@ -94,7 +99,7 @@ def placed(frame, settings, voxel_size, origin, offsets=None):
     return keys.reshape(-1), base.astype(np.int64)
 
 
-def backprojected(frame, settings):
+def backprojected(frame: Frame, settings: Memory) -> NDArray[np.float64]:
     """Return the points alone, as in points()."""
     if frame.points is not None:
         return _cloud(frame, settings)
@@ -113,7 +118,7 @@ def _cloud(frame: Frame, settings: Memory) -> NDArray[np.float64]:
     return np.where(inside[..., None], frame.points, np.nan).reshape(-1, 3)
 
 
-def resampled(labels, shape):
+def resampled(labels: NDArray[np.int32], shape: tuple[int, int]) -> NDArray[np.int32]:
     """
     Return *labels* on a grid of another size and the same aspect ratio, nearest pixel.
 
@@ -128,7 +133,7 @@ def resampled(labels, shape):
     return nearest(labels, shape)
 
 
-def check_aspect(labels, depth):
+def check_aspect(labels: tuple[int, int], depth: tuple[int, int]) -> None:
     """Refuse label and depth images whose shapes (rows, columns) are not proportional."""
     (H, W), (h, w) = labels, depth
     if not same_aspect((W, H), (w, h)):
@@ -137,7 +142,7 @@ def check_aspect(labels, depth):
             'aspect ratio (crop or register one of them)')
 
 
-def counted(labels, settings):
+def counted(labels: NDArray[np.int32], settings: Memory) -> NDArray[np.int32]:
     """Return a copy of *labels*, int32, with -1 for each pixel that does not count."""
     table = _table(tuple(settings.ignore_labels), tuple(settings.dynamic_labels))
     labels = np.require(labels, np.int32, 'CW')
@@ -153,7 +158,7 @@ def counted(labels, settings):
 _tables = {}
 
 
-def _table(ignored, dynamic):
+def _table(ignored: tuple[int, int], dynamic: tuple[int]) -> NDArray[np.int32]:
     """Return a look-up table id -> id or -1 for 0 .. 65534."""
     key = ignored + dynamic
     if key not in _tables:

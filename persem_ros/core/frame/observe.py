@@ -1,9 +1,12 @@
 """Points to observations: what one frame says about each voxel (spec section 1)."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-
+from numpy.typing import NDArray
 from persem_ros.core.jit import inlined, kernel, split
 from persem_ros.core.memory.pools import CENTRE
 from persem_ros.errors import PersemError
@@ -59,8 +62,10 @@ class Observations:
     T_body_sensor: np.ndarray = None
 
 
-def observe(points, labels, T_map_sensor, voxel_size, min_pixels=1, origin=(0.0, 0.0, 0.0),
-            stamp=0, sensor='', weights=None):
+def observe(points: NDArray[np.float64], labels: NDArray[np.int32],
+            T_map_sensor: NDArray[np.float64], voxel_size: float, min_pixels: int = 1,
+            origin: tuple[float, float, float] = (0.0, 0.0, 0.0), stamp: int = 0, sensor: str = '',
+            weights: Any = None) -> Observations:
     """
     Return the Observations of one frame.
 
@@ -95,8 +100,9 @@ def observe(points, labels, T_map_sensor, voxel_size, min_pixels=1, origin=(0.0,
                   weights=weights)
 
 
-def gather(keys, base, labels, min_pixels, stamp, T_map_sensor, sensor, offsets=None,
-           T_body_sensor=None, weights=None):
+def gather(keys: NDArray[np.int64], base: NDArray[np.int64], labels: NDArray[np.int32],
+           min_pixels: int, stamp: int, T_map_sensor: NDArray[np.float64], sensor: str,
+           offsets: Any = None, T_body_sensor: Any = None, weights: Any = None) -> Observations:
     """
     Return the Observations of placed points; parameters as in observe() and place().
 
@@ -121,7 +127,10 @@ def gather(keys, base, labels, min_pixels, stamp, T_map_sensor, sensor, offsets=
                         T_body_sensor)
 
 
-def place(points, T_map_sensor, voxel_size, origin=(0.0, 0.0, 0.0), offsets=None):
+def place(
+        points: NDArray[np.float64], T_map_sensor: NDArray[np.float64], voxel_size: float,
+        origin: tuple[float, float, float] = (0.0, 0.0, 0.0), offsets: Any = None
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """
     Return the voxel of each point as (keys, base); parameters as in observe().
 
@@ -144,7 +153,8 @@ def place(points, T_map_sensor, voxel_size, origin=(0.0, 0.0, 0.0), offsets=None
     return keys, base.astype(np.int64)
 
 
-def placing(T_map_sensor, voxel_size, origin):
+def placing(T_map_sensor: NDArray[np.float64], voxel_size: float,
+            origin: tuple[float, float, float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """
     Return what key_of() needs: the pose as 9 + 3 numbers, and the sensor's own voxel, float64.
 
@@ -214,7 +224,9 @@ WEIGHED_EXTRA = np.dtype([('id', 'i4'), ('count', 'i8'), ('more', 'i4')])
 ONE = 1 << 16       # the weight of a label that is certain
 
 
-def _halves(begin, end, *arguments):
+def _halves(
+        begin: int, end: int, *arguments: Any
+) -> list[tuple[NDArray[np.int32], NDArray[np.uint16], NDArray[np.float32], NDArray[np.uint8]]]:
     """Return what group() returns for the halves begin .. end of the world."""
     keys, weights = arguments[0], arguments[-1]
     kinds = (WEIGHED, WEIGHED_EXTRA) if len(weights) else (TALLY, EXTRA)

@@ -1,14 +1,26 @@
 """Reprojection: labels of voxels become a label image (spec section 5)."""
 
+from __future__ import annotations
+
+from typing import Any, TYPE_CHECKING
+
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.core.frame.observe import NOWHERE, REACH
 from persem_ros.core.jit import kernel, split
 from persem_ros.core.memory.blocks import find_block
 from persem_ros.core.memory.pools import SIDE
 from persem_ros.frames import UNKNOWN
 
+if TYPE_CHECKING:
+    from persem_ros.core.frame.observe import Observations
+    from persem_ros.core.memory.voxel_memory import VoxelMemory
+    from persem_ros.settings.config import Memory
 
-def voxel_image(memory, observations, shape):
+
+def voxel_image(
+        memory: VoxelMemory, observations: Observations, shape: tuple[int, int]
+) -> NDArray[np.int32]:
     """
     Return the voxel number of each pixel, shape *shape*, int32; -1: no depth or unknown.
 
@@ -21,14 +33,15 @@ def voxel_image(memory, observations, shape):
     return image.reshape(shape)
 
 
-def voxel_image_of(memory, keys, base, shape):
+def voxel_image_of(memory: VoxelMemory, keys: NDArray[np.int64], base: NDArray[np.int64],
+                   shape: tuple[int, int]) -> NDArray[np.int32]:
     """Return the same for pixels that were placed (core.frame.observe.place) and not observed."""
     image = np.empty(len(keys), np.int32)
     split(_find, len(keys), memory.m.blocks, memory.table, keys, base, image, grain=32768)
     return image.reshape(shape)
 
 
-def render(voxels, labels):
+def render(voxels: NDArray[np.int32], labels: NDArray[np.uint16]) -> NDArray[np.uint16]:
     """
     Return the label image of a voxel image.
 
@@ -52,7 +65,8 @@ def render(voxels, labels):
     return image
 
 
-def filled(image, labels, settings, fill='input', unknown=UNKNOWN):
+def filled(image: NDArray[np.uint16], labels: NDArray[np.int32], settings: Memory,
+           fill: str = 'input', unknown: int = UNKNOWN) -> NDArray[np.int32]:
     """
     Return the refined label image on the grid of the frame's labels, as int32.
 
@@ -83,7 +97,7 @@ def filled(image, labels, settings, fill='input', unknown=UNKNOWN):
     return result
 
 
-def nearest(image, shape):
+def nearest(image: NDArray[Any], shape: tuple[int, int]) -> NDArray[Any]:
     """Return *image* on a grid of another size, nearest pixel."""
     (h, w), (H, W) = image.shape, shape
     if (h, w) == (H, W):

@@ -1,7 +1,9 @@
 """Smoothing in image space: the baseline ema2d of spec section 4."""
 
-import numpy as np
+from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
 from persem_ros.core.jit import kernel, split
 from persem_ros.frames import UNKNOWN
 
@@ -15,12 +17,12 @@ class EmaImages:
 
     """
 
-    def __init__(self, alpha):
+    def __init__(self, alpha: float) -> None:
         self.alpha = float(alpha)
         self._ids = np.empty((0, 0, 0), np.int32)
         self._weights = np.empty((0, 0, 0))
 
-    def update(self, labels):
+    def update(self, labels: NDArray[np.int32]) -> NDArray[np.uint16]:
         """
         Take in one label image and return the smoothed one.
 

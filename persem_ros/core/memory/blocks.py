@@ -1,7 +1,9 @@
 """Finding voxels: the hash over blocks, and a voxel's neighbours. Kernels only."""
 
-import numpy as np
+from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
 from persem_ros.core.jit import inlined, kernel
 from persem_ros.core.memory.pools import BLOCKS, CELLS, FIRST_BLOCK, FREE_BLOCKS, SIDE
 
@@ -143,13 +145,13 @@ def list_voxels(blocks, numbers, block_of, cell_of, voxel_of):
     return n
 
 
-def directions(neighbours):
+def directions(neighbours: int) -> NDArray[np.int64]:
     """Return the directions of the 6, 18 or 26 neighbours, lexicographic, as int64."""
     most = {6: 1, 18: 2, 26: 3}[neighbours]
     return np.array([d for d in range(27) if 0 < sum(
         abs(x - 1) for x in (d // 9, d // 3 % 3, d % 3)) <= most], np.int64)
 
 
-def new_table(blocks):
+def new_table(blocks: int) -> NDArray[np.uint32]:
     """Return an empty hash table with room for *blocks* blocks, at most half full."""
     return np.zeros(1 << max(10, int(2 * blocks - 1).bit_length()), np.uint32)

@@ -1,8 +1,11 @@
 """A whole memory as plain arrays, and back: what a map file holds (spec section 8)."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.core.jit import kernel
 from persem_ros.core.memory.append import new_link, write, write_offset
 from persem_ros.core.memory.blocks import make_block, new_table
@@ -85,7 +88,7 @@ class MemoryDump:
     frames: FrameTable
 
 
-def dump(memory):
+def dump(memory: VoxelMemory) -> MemoryDump:
     """Return the MemoryDump of a VoxelMemory; the arrays are copies."""
     pools = memory.m
     live = np.flatnonzero(pools.blocks['near'][:memory.n_blocks, 13])
@@ -119,7 +122,7 @@ def dump(memory):
         None if memory.rho is None else memory.rho.copy(), memory.frames.copy())
 
 
-def load(saved):
+def load(saved: MemoryDump) -> VoxelMemory:
     """Return a VoxelMemory that goes on exactly where the dumped one stood."""
     memory = VoxelMemory(saved.voxel_size, saved.origin, saved.max_history)
     n = len(saved.cell)
@@ -152,7 +155,9 @@ def load(saved):
     return memory
 
 
-def _listing(memory, order):
+def _listing(
+        memory: VoxelMemory, order: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Return (block, cell, number) of all voxels, blocks in the given order."""
     block, cell, number = memory.listing()
     rank = np.empty(memory.n_blocks, np.int64)

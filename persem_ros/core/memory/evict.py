@@ -1,14 +1,23 @@
 """Letting go of what is far away, so that a long flight fits a bounded memory."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.core.jit import inlined, kernel
 from persem_ros.core.memory.blocks import remove_block
 from persem_ros.core.memory.pools import (
     CELLS, CLOCK, FIRST_BLOCK, FIRST_SPILL, FIRST_VOXEL, FREE, FREE_BLOCKS, FREE_SPILLS,
     FREE_VOXELS, INLINE, ROWS, SIDE, STORED)
 
+if TYPE_CHECKING:
+    from persem_ros.core.memory.voxel_memory import VoxelMemory
 
-def keep_near(memory, position, radius=0.0, max_voxels=0):
+
+def keep_near(memory: VoxelMemory, position: tuple[float, float, float], radius: float = 0.0,
+              max_voxels: int = 0) -> int:
     """
     Drop the blocks farther than *radius* from *position*, then the farthest beyond *max_voxels*.
 
@@ -55,7 +64,7 @@ def keep_near(memory, position, radius=0.0, max_voxels=0):
     return before - memory.n_voxels
 
 
-def drop(memory, numbers):
+def drop(memory: VoxelMemory, numbers: NDArray[np.int64]) -> None:
     """
     Drop whole blocks by number, when no refinement is under way.
 

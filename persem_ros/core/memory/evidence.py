@@ -1,7 +1,6 @@
 """A voxel's evidence h_v: adding to it, reading it, its majority. Inlined into kernels."""
 
 import numpy as np
-
 from persem_ros.core.jit import inlined
 from persem_ros.core.memory.pools import FIRST_SPILL, FREE_SPILLS, INLINE, SPILLS
 from persem_ros.frames import UNKNOWN

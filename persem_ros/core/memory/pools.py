@@ -7,13 +7,16 @@ a refinement can read the histories it was handed while the next frame is being 
 
 """
 
+from __future__ import annotations
+
 from collections import namedtuple
 import mmap
 import os
 import sys
+from typing import Any
 
 import numpy as np
-
+from numpy.typing import NDArray
 from persem_ros.errors import PersemError
 
 # Address space is not memory: without this flag a process with a map could not fork.
@@ -93,7 +96,7 @@ class Store:
 
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         memory = os.sysconf('SC_PAGE_SIZE') * os.sysconf('SC_PHYS_PAGES')
         self._pools = {'blocks': _reserve(BLOCK, memory // 2), 'voxels': _reserve(VOXEL, memory),
                        'links': _reserve(LINK, memory), 'spills': _reserve(SPILL, memory // 2)}
@@ -107,7 +110,7 @@ class Store:
             _reserve(np.dtype('u4'), memory // 16), np.zeros(15, np.int64),
             np.zeros(65536, np.int64), np.zeros(65536, np.int64))
 
-    def check_room(self, voxels):
+    def check_room(self, voxels: int) -> None:
         """Refuse to add up to *voxels* new voxels where the machine's memory would not do."""
         used = self.arrays.used
         for name, place in (('blocks', BLOCKS), ('voxels', VOXELS), ('links', LINKS),
@@ -117,7 +120,7 @@ class Store:
                     f'the map is full: {used[VOXELS]} voxels fill the memory of this machine; '
                     'choose a larger memory.voxel_size, a smaller memory.max_depth or max_history')
 
-    def nbytes(self):
+    def nbytes(self) -> dict[str, int]:
         """Return {pool: bytes in use}."""
         used = self.arrays.used
         free = used[FREE] + used[RETIRED]
@@ -129,7 +132,7 @@ class Store:
                 'spilt evidence': int(used[SPILLS] - used[FREE_SPILLS]) * SPILL.itemsize}
 
 
-def sparse_zeros(shape, dtype):
+def sparse_zeros(shape: Any, dtype: Any) -> Any:
     """Return a zeroed array that costs memory and time only where it is written."""
     dtype, n = np.dtype(dtype), int(np.prod(shape))
     if n * dtype.itemsize < 1 << 16:
@@ -139,7 +142,7 @@ def sparse_zeros(shape, dtype):
     return np.frombuffer(space, dtype, n).reshape(shape)
 
 
-def _reserve(dtype, nbytes):
+def _reserve(dtype: np.dtype[Any], nbytes: int) -> NDArray[Any]:
     """Return a zeroed array over *nbytes* of address space, fewer where the system limits it."""
     count = min(nbytes // dtype.itemsize, 2 ** 32 - 2)
     while True:

@@ -1,6 +1,11 @@
 """The map: for every world voxel the history of what was seen there (spec section 2)."""
 
+from __future__ import annotations
+
+from typing import Any, TYPE_CHECKING
+
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.core.jit import kernel, split
 from persem_ros.core.memory.append import add_observations, release_links
 from persem_ros.core.memory.blocks import find_voxels, list_voxels, new_table, rehash
@@ -9,6 +14,10 @@ from persem_ros.core.memory.frame_table import FrameTable, Session, session_uuid
 from persem_ros.core.memory.pools import (
     BLOCKS, CENTRE, CHUNK, CLOCK, FREE_VOXELS, OBSERVATIONS, Store, STORED, VOXELS)
 from persem_ros.errors import PersemError
+
+if TYPE_CHECKING:
+    from persem_ros.core.frame.observe import Observations
+    from persem_ros.core.memory.pools import Pools
 
 LAST_T = 2 ** 31 - 1        # histories keep t as int32
 
@@ -32,7 +41,8 @@ class VoxelMemory:
 
     """
 
-    def __init__(self, voxel_size, origin=(0.0, 0.0, 0.0), max_history=0):
+    def __init__(self, voxel_size: float, origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
+                 max_history: int = 0) -> None:
         self.voxel_size = float(voxel_size)
         self.origin = tuple(float(x) for x in origin)
         self.max_history = int(max_history)
@@ -53,31 +63,31 @@ class VoxelMemory:
         self._next_t = 0
 
     @property
-    def m(self):
+    def m(self) -> Pools:
         """Return the pools' arrays, for kernels."""
         return self.store.arrays
 
     @property
-    def n_voxels(self):
+    def n_voxels(self) -> int:
         """Return number of observed voxels."""
         return int(self.m.used[VOXELS] - self.m.used[FREE_VOXELS])
 
     @property
-    def n_numbers(self):
+    def n_numbers(self) -> int:
         """All voxel numbers are below this; equal to n_voxels where nothing was dropped."""
         return int(self.m.used[VOXELS])
 
     @property
-    def n_blocks(self):
+    def n_blocks(self) -> int:
         """All block numbers are below this."""
         return int(self.m.used[BLOCKS])
 
     @property
-    def n_observations(self):
+    def n_observations(self) -> int:
         """Return number of observations ever added."""
         return int(self.m.used[OBSERVATIONS])
 
-    def add(self, observations):
+    def add(self, observations: Observations) -> NDArray[np.int64]:
         """
         Append one frame's observations (core.frame.observe.Observations) to the voxels' histories.
 
@@ -104,34 +114,34 @@ class VoxelMemory:
         return rows
 
     @property
-    def clock(self):
+    def clock(self) -> Any:
         """Return the tick of the last change; what changes later bears a larger one."""
         return int(self.m.used[CLOCK])
 
-    def changed_blocks(self):
+    def changed_blocks(self) -> Any:
         """Return the numbers of the blocks with changes that no refinement was handed yet."""
         return np.flatnonzero(self.m.stamps['evidence'][:self.n_blocks] > self.settled)
 
-    def find(self, voxels):
+    def find(self, voxels: NDArray[np.int32]) -> NDArray[np.int64]:
         """Return the voxel numbers (n,) int64 of voxel indices (n, 3); -1 for unknown ones."""
         voxels = np.require(voxels, np.int32, 'C').reshape(-1, 3)
         out = np.empty(len(voxels), np.int64)
         split(find_voxels, len(voxels), self.m.blocks, self.table, voxels, out, grain=16384)
         return out
 
-    def new_session(self):
+    def new_session(self) -> None:
         """Begin a session: its stamps are new even where they repeat earlier ones."""
         self.session += 1
         self._stamps = Stamps()
 
-    def resume(self, frames, session):
+    def resume(self, frames: FrameTable, session: int) -> None:
         """Take over the frame table of a saved map; it goes on in the same session."""
         self.frames, self.session = frames.copy(), int(session)
         own = frames.session == self.session
         self._stamps = Stamps(frames.stamp[own], frames.t[own])
         self._next_t = int(frames.t.max(initial=-1)) + 1
 
-    def volatility(self):
+    def volatility(self) -> NDArray[np.float64]:
         """
         Return rho, shape (65536,), float64: P(the next label differs | this one's is c).
 
@@ -142,7 +152,9 @@ class VoxelMemory:
         starts = self.m.starts
         return np.divide(self.m.changes, starts, out=np.zeros(65536), where=starts > 0)
 
-    def listing(self, blocks=None):
+    def listing(
+            self, blocks: Any = None
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
         """
         Return (block, cell, voxel number), each (n,) int64, of voxels, block by block.
 
@@ -158,7 +170,7 @@ class VoxelMemory:
         list_voxels(self.m.blocks, blocks, *lists)
         return lists
 
-    def voxels(self):
+    def voxels(self) -> dict[str, Any]:
         """
         Return the map as columns, sorted by voxel index.
 
@@ -172,7 +184,7 @@ class VoxelMemory:
         """
         return ordered(self.columns())
 
-    def columns(self, blocks=None):
+    def columns(self, blocks: Any = None) -> dict[str, Any]:
         """
         Return what voxels() does, unsorted: the part that only the mapping thread may do.
 
@@ -191,19 +203,21 @@ class VoxelMemory:
               block, cell, number, *columns.values())
         return {**columns, 'number': number}
 
-    def number(self, voxel):
+    def number(self, voxel: NDArray[np.int32]) -> int:
         """Return the number of one voxel index (i, j, k); refuse one that was never seen."""
         number = int(self.find(np.array([voxel], np.int32))[0])
         if number < 0:
             raise PersemError(f'voxel {tuple(int(i) for i in voxel)} was never observed')
         return number
 
-    def history(self, voxel):
+    def history(
+            self, voxel: NDArray[np.int32] | tuple[int, int, int]
+    ) -> tuple[NDArray[np.uint16], NDArray[np.float32], NDArray[np.int32]]:
         """Return the stored observations of a voxel: labels uint16, confidences f4, t int32."""
         labels, confidences, f, _ = self.sightings(voxel)
         return labels, confidences, self.frames.t[f]
 
-    def sightings(self, voxel):
+    def sightings(self, voxel: Any) -> Any:
         """
         Return the stored observations of a voxel, oldest first.
 
@@ -229,7 +243,7 @@ class VoxelMemory:
         return (*(links[name][chain].reshape(-1)[kept] for name in 'csf'),
                 self.m.offsets['xyz'][chain].reshape(-1, 3)[kept])
 
-    def changed(self, voxel):
+    def changed(self, voxel: NDArray[np.int32]) -> bool:
         """Return whether a voxel's evidence changed since a refinement began."""
         self.number(voxel)
         blocks = self.m.blocks[:self.n_blocks]
@@ -237,14 +251,14 @@ class VoxelMemory:
         here = np.flatnonzero((blocks['index'] == (x >> 3, y >> 3, z >> 3)).all(axis=1))[0]
         return bool(blocks['changed'][here, (x & 7) * 8 + (y & 7)] >> (z & 7) & 1)
 
-    def evidence(self, voxel):
+    def evidence(self, voxel: NDArray[np.int32]) -> dict[int, float]:
         """Return {class: h_v(class)} of a voxel."""
         v = self.number(voxel)
         classes, sums = np.empty(65536, np.uint16), np.empty(65536)
         n = evidence_of(self.m.voxels, self.m.spills, v, classes, sums)
         return dict(zip(classes[:n].tolist(), sums[:n].tolist()))
 
-    def nbytes(self):
+    def nbytes(self) -> dict[str, int]:
         """Return {what: bytes in use}, everything included."""
         sizes = self.store.nbytes()
         sizes['frames'] = self.frames.nbytes()
@@ -252,14 +266,14 @@ class VoxelMemory:
         sizes['classes'] = self.m.starts.nbytes + self.m.changes.nbytes + self.seen_ids.nbytes
         return sizes
 
-    def _make_room(self, blocks):
+    def _make_room(self, blocks: int) -> None:
         """Let the hash table hold *blocks* more blocks at most half full."""
         needed = self.n_blocks + blocks
         if 2 * needed > len(self.table):
             self.table = new_table(2 * needed)
             rehash(self.m.blocks, self.m.used, self.table)
 
-    def _enter(self, seen):
+    def _enter(self, seen: Any) -> Any:
         """Enter the frame of some Observations into the table; return its row f."""
         t = self._stamps.find(seen.stamp)
         if t is None:               # spec section 1: t counts the distinct stamps
@@ -280,7 +294,7 @@ class VoxelMemory:
         return self.frames.append(t, self.session, seen.sensor, seen.stamp, seen.T_map_sensor)
 
 
-def ordered(columns):
+def ordered(columns: dict[str, Any]) -> dict[str, Any]:
     """Return columns of voxels sorted by voxel index."""
     order = sort_order(columns['voxel'])
     return {name: column[order] for name, column in columns.items()}
@@ -327,7 +341,7 @@ def evidence_of(voxels, spills, v, classes, sums):
     return read_evidence(voxels[v], spills, classes, sums, 0)
 
 
-def sort_order(index):
+def sort_order(index: NDArray[np.int32]) -> NDArray[np.int64]:
     """Return the order that sorts voxel indices (n, 3) lexicographically."""
     if not len(index):
         return np.empty(0, np.int64)
@@ -340,6 +354,6 @@ def sort_order(index):
     return np.lexsort((index[:, 2], index[:, 1], index[:, 0]))
 
 
-def stored_observations(memory):
+def stored_observations(memory: Any) -> Any:
     """Return the number of observations that the histories hold (all, without a bound)."""
     return int(memory.m.used[STORED])

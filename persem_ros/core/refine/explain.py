@@ -1,9 +1,12 @@
 """Why a voxel has its label: spec sections 2 and 3 for one voxel, every number kept."""
 
+from __future__ import annotations
+
 import math
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
-
+from numpy.typing import NDArray
 from persem_ros.core.geometry.account import account
 from persem_ros.core.geometry.method import GEOMETRY
 from persem_ros.core.memory.blocks import directions
@@ -12,8 +15,12 @@ from persem_ros.core.refine.selection import (
     CANDIDATE, CONTEXT, HISTORY, MAJORITY, METHODS, PROPOSED, TRUST, VERIFIED)
 from persem_ros.core.refine.snapshot import take
 
+if TYPE_CHECKING:
+    from persem_ros.core.memory.voxel_memory import VoxelMemory
+    from persem_ros.settings.config import Refine
 
-def explain(memory, voxel, settings):
+
+def explain(memory: VoxelMemory, voxel: NDArray[np.int32], settings: Refine) -> dict[str, Any]:
     """
     Return the trace of a voxel's refinement, computed step by step in plain Python.
 
@@ -77,7 +84,7 @@ def explain(memory, voxel, settings):
     return trace
 
 
-def _decide(trace, anchor, then, settings):
+def _decide(trace: dict[str, Any], anchor: bool, then: int, settings: Refine) -> None:
     """Enter candidate, margins, label and source: the steps of the method."""
     majority = trace['majority']
     if anchor and trace['anchor_label'] not in (None, majority):
@@ -106,7 +113,9 @@ def _decide(trace, anchor, then, settings):
         trace['label'], trace['source'] = candidate, source
 
 
-def support(memory, voxel, neighbours):
+def support(
+        memory: VoxelMemory, voxel: NDArray[np.int32], neighbours: int
+) -> tuple[int, dict[int, float], dict[int, float]]:
     """
     Return what the neighbours of a voxel say.
 
@@ -137,7 +146,10 @@ def support(memory, voxel, neighbours):
     return n, {c: k / n for c, k in hard.items()}, {c: q / n for c, q in soft.items()}
 
 
-def replay(labels, confidences, times, rho, settings):
+def replay(
+        labels: NDArray[np.uint16], confidences: NDArray[np.float32], times: NDArray[np.int32],
+        rho: NDArray[np.float64], settings: Refine
+) -> tuple[list[dict[str, float]], dict[int, float]]:
     """
     Return the steps of the trust replay of a history and {c: e} at its end.
 
@@ -166,13 +178,13 @@ def replay(labels, confidences, times, rho, settings):
     return steps, evidence
 
 
-def argmax(values, preferred=None):
+def argmax(values: dict[int, float], preferred: int | None = None) -> int:
     """Return the key of the largest value; *preferred* wins its ties, else the smaller key."""
     most = max(values.values())
     best = [c for c, value in values.items() if most - value <= TIE]
     return preferred if preferred in best else min(best)
 
 
-def exceeds(x, threshold):
+def exceeds(x: float, threshold: float) -> bool:
     """Return whether x > threshold, where a tie is none (spec section 2)."""
     return x > threshold + TIE

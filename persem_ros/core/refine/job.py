@@ -1,14 +1,24 @@
 """Making up the map's mind: a refinement as a job, and its three steps in one call."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.core.geometry.method import Labelled, relabel
 from persem_ros.core.jit import kernel, split
 from persem_ros.core.memory.blocks import directions
 from persem_ros.core.memory.pools import CLOCK
 from persem_ros.core.refine import fusion, selection, snapshot
 from persem_ros.core.refine.sweep import next_blocks, Sweep
+
+if TYPE_CHECKING:
+    from persem_ros.core.memory.voxel_memory import VoxelMemory
+    from persem_ros.core.refine.snapshot import Snapshot
+    from persem_ros.settings.config import Refine
 
 # Methods that look no farther than a voxel's neighbours: a part of the map at a time will do.
 SWEPT = {'majority', *fusion.MODES, *selection.METHODS}
@@ -32,7 +42,7 @@ class Job:
     parameters: object
     sweep: Sweep = None
 
-    def compute(self):
+    def compute(self) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
         """Return the core.geometry.method.Labelled of the snapshot's refined rows."""
         if self.sweep is not None:
             self.sweep.prepare()
@@ -40,7 +50,7 @@ class Job:
                         self.rho, self.n_ids, self.parameters)
 
 
-def refine(memory, settings, full=True):
+def refine(memory: VoxelMemory, settings: Refine, full: bool = True) -> int:
     """
     Refine the map: begin, compute, finish (spec section 3; section 4 for other methods).
 
@@ -64,7 +74,7 @@ def refine(memory, settings, full=True):
     return finish(job, *job.compute())
 
 
-def begin(memory, settings, full=True):
+def begin(memory: VoxelMemory, settings: Refine, full: bool = True) -> Job:
     """Return the Job of a refinement; call it on the mapping thread, between two frames."""
     if full or memory.rho is None:
         _take_rho(memory)
@@ -81,7 +91,7 @@ def begin(memory, settings, full=True):
     return Job(memory, settings, taken, memory.rho, number_of_ids(memory), memory.geometry)
 
 
-def begin_next(memory, settings, fresh=False):
+def begin_next(memory: Any, settings: Any, fresh: Any = False) -> Any:
     """
     Return the Job of the refinement that is next in turn (spec section 9, *Flat*).
 
@@ -106,41 +116,42 @@ def begin_next(memory, settings, fresh=False):
     return Job(memory, settings, taken, memory.rho, number_of_ids(memory), None, memory.sweep)
 
 
-def swept(memory, settings):
+def swept(memory: Any, settings: Any) -> Any:
     """Return whether every voxel has seen the present volatility and settings."""
     return memory.rho is not None and memory.refined_with == _rules(memory, settings) and \
         (memory.sweep is None or memory.sweep.ended)
 
 
-def at_rest(memory, settings):
+def at_rest(memory: Any, settings: Any) -> Any:
     """Return whether nothing is left to refine until something is observed or let go."""
     return swept(memory, settings) and memory.rho_of == memory.n_observations and \
         not len(memory.changed_blocks())
 
 
-def _take_rho(memory):
+def _take_rho(memory: Any) -> None:
     """Take the class volatility anew; every voxel has to see it."""
     memory.rho, memory.rho_of = memory.volatility(), memory.n_observations
     memory.refined_with, memory.since_rho, memory.geometry = None, 0, None
 
 
-def _due(memory, settings):
+def _due(memory: Any, settings: Any) -> Any:
     """Return whether the volatility has been used for long enough, and by all voxels."""
     return memory.since_rho >= settings.volatility_every and (
         memory.sweep is None or memory.sweep.ended)
 
 
-def _rules(memory, settings):
+def _rules(memory: Any, settings: Any) -> Any:
     """Return what labels everywhere depend on: settings, and for one method the number of ids."""
     return settings, number_of_ids(memory) if settings.method == 'probabilistic' else 0
 
 
-def number_of_ids(memory):
+def number_of_ids(memory: Any) -> Any:
     """Return K, the number of distinct ids of all counted pixels."""
     return int(np.count_nonzero(memory.seen_ids))
 
 
-def finish(job, labels, sources, posterior, parameters):
+def finish(job: Job, labels: NDArray[np.uint16], sources: NDArray[np.uint8], posterior: Any,
+           parameters: Any) -> int:
     """
     Enter what a job computed into the map, on the mapping thread; return how many voxels.
 
@@ -157,13 +168,15 @@ def finish(job, labels, sources, posterior, parameters):
     return taken.refined
 
 
-def abandon(job):
+def abandon(job: Any) -> None:
     """Give a job up: its voxels count as changed again, through a full refinement."""
     job.memory.refinements -= 1
     job.memory.rho = None
 
 
-def label(memory, method, settings):
+def label(
+        memory: VoxelMemory, method: str, settings: Refine
+) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
     """
     Label the whole map by *method* without entering it.
 
@@ -182,7 +195,10 @@ def label(memory, method, settings):
     return labels, sources
 
 
-def labelled(memory, taken, method, settings, rho, n_ids, parameters=None):
+def labelled(
+        memory: VoxelMemory, taken: Snapshot, method: str, settings: Refine,
+        rho: NDArray[np.float64], n_ids: int, parameters: Any = None
+) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
     """Return the core.geometry.method.Labelled of a snapshot's refined rows by *method*."""
     if method == 'geometry':
         return relabel(memory, taken, settings, parameters)
@@ -210,19 +226,19 @@ def labelled(memory, taken, method, settings, rho, n_ids, parameters=None):
     return Labelled(labels, sources, np.zeros(n, np.float32), None)
 
 
-def trust_of(rho, lambda_volatility):
+def trust_of(rho: NDArray[np.float64], lambda_volatility: float) -> NDArray[np.float64]:
     """Return exp(-lambda_v rho(c)) of every id, (65536,) float64; most ids never occur."""
     trust, volatile = np.ones(len(rho)), np.flatnonzero(rho)
     trust[volatile] = np.exp(-lambda_volatility * rho[volatile])
     return trust
 
 
-def _with(function, scratch):
+def _with(function: Any, scratch: np.dtype[Any]) -> Callable[..., Any]:
     """Return *function* with a scratch record of its own for each slice of the work."""
     return lambda begin, end, *arguments: function(begin, end, np.zeros(1, scratch), *arguments)
 
 
-def _believe(beliefs, number, labels, posterior):
+def _believe(beliefs: Any, number: Any, labels: Any, posterior: Any) -> None:
     """Note the posteriors of labels; where there are none, forget what was noted before."""
     if posterior.any() or beliefs['posterior'][number].any():
         beliefs['posterior'][number] = posterior

@@ -1,10 +1,18 @@
 """Difficult regions, from histories and majority labels alone (spec section 6)."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.core.jit import kernel, split
 from persem_ros.core.memory.blocks import directions, step
 from persem_ros.core.memory.evidence import TIE
 from persem_ros.core.refine.snapshot import take
+
+if TYPE_CHECKING:
+    from persem_ros.core.memory.voxel_memory import VoxelMemory
 
 HIGH_SWITCH_RATE = 0.3
 HIGH_ENTROPY = 0.5          # nat
@@ -12,7 +20,9 @@ LOW_MARGIN = 0.3
 REGIONS = {'boundary': 1, 'difficult_core': 2, 'high_switch': 4}     # bits of a region code
 
 
-def regions(memory, neighbours=26):
+def regions(
+        memory: VoxelMemory, neighbours: int = 26
+) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]]:
     """
     Return the regions of every voxel.
 

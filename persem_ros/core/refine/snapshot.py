@@ -8,12 +8,19 @@ that came later are not in the snapshot. So there is no lock at all.
 
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.core.jit import kernel, split
 from persem_ros.core.memory.evidence import count_classes, read_evidence
 from persem_ros.core.memory.pools import CLOCK, ROWS, SIDE, sparse_zeros
+
+if TYPE_CHECKING:
+    from persem_ros.core.memory.voxel_memory import VoxelMemory
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +70,7 @@ class Snapshot:
     placed: np.ndarray
 
 
-def take(memory, neighbours=None, also=()):
+def take(memory: VoxelMemory, neighbours: int | None = None, also: Any = ()) -> Snapshot:
     """
     Return a Snapshot of the whole map or, with a neighbourhood, of what changed.
 
@@ -94,13 +101,15 @@ def take(memory, neighbours=None, also=()):
                     observations, first, head, memory.frames.t, memory.frames.placed)
 
 
-def settle(memory):
+def settle(memory: VoxelMemory) -> None:
     """Mark every voxel as unchanged: a refinement has been handed all changes so far."""
     memory.m.blocks['changed'][memory.changed_blocks()] = 0
     memory.settled = int(memory.m.used[CLOCK])
 
 
-def _changed(memory, neighbours, also):
+def _changed(
+        memory: VoxelMemory, neighbours: int, also: Any
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], int]:
     """Return (block, cell, number) of the snapshot's voxels, refined ones first, and how many."""
     blocks, n = memory.m.blocks, memory.n_blocks
     dirty = memory.changed_blocks()
@@ -121,7 +130,8 @@ def _changed(memory, neighbours, also):
     return block[:total], cell[:total], number[:total], refined
 
 
-def _around(blocks, numbers, n_blocks):
+def _around(
+        blocks: NDArray[np.void], numbers: NDArray[np.int64], n_blocks: int) -> NDArray[np.int64]:
     """Return the sorted numbers of the given blocks and of those that touch them."""
     found = np.zeros(n_blocks + 1, bool)
     found[blocks['near'][numbers].reshape(-1)] = True

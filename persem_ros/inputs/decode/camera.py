@@ -1,11 +1,13 @@
 """Camera infos to cameras: what every pixel looks at, spec section 1."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-
 from persem_ros.frames import Camera, pinhole, same_aspect
 from persem_ros.inputs.decode.messages import BadMessage
 
@@ -16,7 +18,8 @@ FOLDED = 3.0                # pixels, on the undistorted image, between a point 
 CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
 
 
-def camera(info, width, height, rectified=False, frame_id=''):
+def camera(
+        info: Any, width: int, height: int, rectified: bool = False, frame_id: str = '') -> Camera:
     """
     Make the Camera of an image.
 
@@ -53,8 +56,9 @@ def camera(info, width, height, rectified=False, frame_id=''):
     return Camera(rays.reshape(height, width, 2), K, frame_id)
 
 
-def projection(info, width: int, height: int, rectified: bool,
-               view: Camera) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+def projection(
+        info: Any, width: int, height: int, rectified: bool, view: Camera
+) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
     """
     Return the function of points (N, 3) in a camera's frame to its pixels (N, 2): column, row.
 
@@ -88,13 +92,13 @@ def projection(info, width: int, height: int, rectified: bool,
     return project
 
 
-def check(info, rectified=False):
+def check(info: Any, rectified: bool = False) -> None:
     """Refuse (BadMessage) an info that no image could use, before any image has come."""
     _matrix(info, rectified)
     _distortion(info, rectified)
 
 
-def content(info):
+def content(info: Any) -> tuple[Any, ...]:
     """Return what makes a camera info differ from another, hashable; stamps do not."""
     roi = info.roi
     return (info.width, info.height, info.distortion_model, tuple(info.d), tuple(info.k),
@@ -102,7 +106,7 @@ def content(info):
             roi.x_offset, roi.y_offset, roi.width, roi.height, info.header.frame_id)
 
 
-def _matrix(info, rectified):
+def _matrix(info: Any, rectified: bool) -> tuple[float, float, float, float]:
     """Return fx, fy, cx, cy of the whole sensor, refusing what cannot be a camera."""
     name = 'P' if rectified else 'K'
     m = np.asarray(info.p if rectified else info.k, float).reshape(3, -1)
@@ -116,7 +120,7 @@ def _matrix(info, rectified):
     return values
 
 
-def _distortion(info, rectified):
+def _distortion(info: Any, rectified: bool) -> NDArray[np.float64]:
     """Return the distortion coefficients in force, refusing those of an unknown model."""
     D = np.zeros(1) if rectified else np.asarray(info.d, float)
     if not np.isfinite(D).all():
@@ -137,7 +141,7 @@ def _distortion(info, rectified):
     return np.append(D, np.zeros(length - D.size))
 
 
-def _seen(info, width, height):
+def _seen(info: Any, width: int, height: int) -> tuple[int, int, int, int]:
     """Return the part of the sensor that the image shows: x, y, width, height in its pixels."""
     roi = info.roi
     if roi.width and roi.height:
@@ -154,7 +158,8 @@ def _seen(info, width, height):
     return part
 
 
-def _scaled(values, x, y, seen_width, seen_height, width, height):
+def _scaled(values: tuple[float, float, float, float], x: int, y: int, seen_width: int,
+            seen_height: int, width: int, height: int) -> NDArray[np.float64]:
     """Return K for an image of *width* x *height* that shows the given part of the sensor."""
     fx, fy, cx, cy = values
     sx, sy = width / seen_width, height / seen_height
@@ -163,7 +168,7 @@ def _scaled(values, x, y, seen_width, seen_height, width, height):
                      [0.0, 0.0, 1.0]])
 
 
-def _undistorted(pixels, K, model, D):
+def _undistorted(pixels: Any, K: Any, model: Any, D: Any) -> Any:
     """Return the normalised rays (N, 2) of *pixels* (N, 1, 2); NaN where there is none."""
     if model == 'equidistant':
         rays = cv2.fisheye.undistortPoints(pixels, K, D, criteria=CRITERIA)
@@ -178,7 +183,7 @@ def _undistorted(pixels, K, model, D):
     return rays
 
 
-def _iterated(pixels, K, D):
+def _iterated(pixels: Any, K: Any, D: Any) -> Any:
     """Undistort to convergence: OpenCV's default of 5 iterations is off by pixels at corners."""
     if hasattr(cv2, 'undistortPointsIter'):                 # OpenCV 4
         return cv2.undistortPointsIter(pixels, K, D, np.eye(3), np.eye(3), CRITERIA)

@@ -6,10 +6,14 @@ The format string of a CompressedImage decides, not the bytes: '16UC1; compresse
 
 """
 
+from __future__ import annotations
+
 import re
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.core.jit import cached
 from persem_ros.guard.limits import too_many_pixels
 
@@ -22,7 +26,8 @@ PEEK = 64           # bytes that hold the size of a PNG
 SIZE = 8            # RVL: uint32 columns, uint32 rows
 
 
-def labels(form, data, lossy=False):
+def labels(
+        form: str, data: NDArray[np.uint8], lossy: Any = False) -> tuple[NDArray[np.uint16], str]:
     """
     Decode PNG labels.
 
@@ -56,7 +61,7 @@ def labels(form, data, lossy=False):
     return image, encoding.strip() if how else ''
 
 
-def depth(form, data):
+def depth(form: str, data: NDArray[np.uint8]) -> NDArray[np.uint16]:
     """
     Decode a compressedDepth image.
 
@@ -88,12 +93,12 @@ def depth(form, data):
         return np.where(image > 0, a / (image.astype(np.float32) - b), np.float32(np.nan))
 
 
-def color(form, data):
+def color(form: str, data: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Decode a JPEG or PNG image as uint8 RGB of shape (H, W, 3)."""
     return cv2.cvtColor(_imdecode(data, cv2.IMREAD_COLOR, form), cv2.COLOR_BGR2RGB)
 
 
-def _deep(form, data):
+def _deep(form: str, data: NDArray[np.uint8]) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
     """Return the 16-bit image of compressedDepth data and its 12-byte header."""
     if data.size <= HEADER:
         raise ValueError('data too short', f'a compressedDepth image has {data.size} bytes, '
@@ -108,7 +113,7 @@ def _deep(form, data):
     return image, head
 
 
-def _imdecode(data, flags, form):
+def _imdecode(data: NDArray[np.uint8], flags: int, form: str) -> NDArray[Any]:
     """Decode with OpenCV, which answers None or throws at damaged data."""
     check_pixels(*pixels_of(data))
     try:
@@ -122,7 +127,7 @@ def _imdecode(data, flags, form):
     return image
 
 
-def pixels_of(data):
+def pixels_of(data: Any) -> Any:
     """
     Return (width, height) as the header of a PNG or JPEG says, (0, 0) where it says nothing.
 
@@ -143,14 +148,14 @@ def pixels_of(data):
     raise ValueError('damaged compressed image', 'a JPEG image says nothing of its size')
 
 
-def check_pixels(width, height):
+def check_pixels(width: Any, height: Any) -> None:
     """Refuse an image that is larger than inputs.max_pixels allows, before it is decoded."""
     sentence = too_many_pixels(int(width), int(height))
     if sentence:
         raise ValueError('too many pixels', sentence)
 
 
-def _rvl_image(body):
+def _rvl_image(body: Any) -> Any:
     """Decode the part of an RVL message that follows the header."""
     columns, rows = (int(x) for x in body[:SIZE].copy().view('<u4')) if body.size >= SIZE \
         else (0, 0)

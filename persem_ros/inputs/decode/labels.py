@@ -1,5 +1,9 @@
 """Label images to ids: plain, in one channel of a colour image, or as the legend's colours."""
 
+from __future__ import annotations
+
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.jit import cached
@@ -42,7 +46,7 @@ class LabelReader:
         self._divisor = settings.divisor
         self._palette: tuple[object, Palette] | None = None
 
-    def __call__(self, msg, legend: Legend | None = None) -> tuple[NDArray[np.int32], str]:
+    def __call__(self, msg: Any, legend: Legend | None = None) -> tuple[NDArray[np.int32], str]:
         """
         Read a label image.
 

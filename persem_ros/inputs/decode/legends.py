@@ -1,8 +1,10 @@
 """Tables of class names as they come on topics: YAML, JSON of Isaac Sim, vision_msgs/LabelInfo."""
 
+from __future__ import annotations
+
 import json
 import re
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from persem_ros.errors import PersemError
 from persem_ros.frames import MAX_ID
@@ -23,7 +25,7 @@ class Table(NamedTuple):
     stamp: int | None       # ns, of the first image that it holds for; None: from its arrival
 
 
-def table(msg) -> Table:
+def table(msg: Any) -> Table:
     """
     Read a table of names.
 

@@ -6,13 +6,16 @@ np.frombuffer, which takes both.
 
 """
 
+from __future__ import annotations
+
+from collections.abc import Callable
 from functools import partial
 import math
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-
 from persem_ros.core.transforms import transform
 from persem_ros.errors import PersemError
 from persem_ros.inputs.decode import compressed
@@ -44,23 +47,23 @@ class BadMessage(PersemError):
 
     """
 
-    def __init__(self, reason, sentence):
+    def __init__(self, reason: str, sentence: str) -> None:
         """Keep the short *reason* beside the whole *sentence*."""
         super().__init__(sentence)
         self.reason = reason
 
 
-def stamp_ns(msg):
+def stamp_ns(msg: Any) -> int:
     """Return the header stamp in integer nanoseconds."""
     return msg.header.stamp.sec * 1_000_000_000 + msg.header.stamp.nanosec
 
 
-def frame_id(msg):
+def frame_id(msg: Any) -> str:
     """Return the header's frame without the leading slash that ROS 1 wrote."""
     return msg.header.frame_id.lstrip('/')
 
 
-def header(data):
+def header(data: bytes) -> tuple[int, str]:
     """
     Return (stamp in ns, frame_id) of a serialized message that begins with a std_msgs/Header.
 
@@ -78,7 +81,7 @@ def header(data):
     return seconds * 1_000_000_000 + nanoseconds, name
 
 
-def labels(msg):
+def labels(msg: Any) -> tuple[NDArray[np.int32], str]:
     """
     Read a label image whose pixels are ids.
 
@@ -107,7 +110,7 @@ def labels(msg):
     return planes.astype(np.int32), encoding
 
 
-def label_planes(msg, lossy: bool = False) -> tuple[NDArray, str]:
+def label_planes(msg: Any, lossy: bool = False) -> tuple[NDArray, str]:
     """
     Read a label image of ids or of colours.
 
@@ -145,7 +148,7 @@ def label_planes(msg, lossy: bool = False) -> tuple[NDArray, str]:
     return _plane(msg, LABELS, 'a label image'), msg.encoding
 
 
-def confidence(msg) -> NDArray[np.uint32]:
+def confidence(msg: Any) -> NDArray[np.uint32]:
     """
     Read a confidence image of the segmenter.
 
@@ -163,7 +166,7 @@ def confidence(msg) -> NDArray[np.uint32]:
     return np.rint(w * 65536.0).astype(np.uint32)
 
 
-def depth_confidence(msg) -> NDArray[np.float64]:
+def depth_confidence(msg: Any) -> NDArray[np.float64]:
     """Read a confidence image of the depth, float64 (H, W), in the camera's own numbers."""
     if hasattr(msg, 'format'):
         array, _ = _decoded(compressed.labels, msg)
@@ -175,7 +178,7 @@ def depth_confidence(msg) -> NDArray[np.float64]:
                   'a depth confidence image').astype(np.float64)
 
 
-def depth(msg, scale: float = 0.0) -> NDArray[np.float64]:
+def depth(msg: Any, scale: float = 0.0) -> NDArray[np.float64]:
     """
     Read a depth image.
 
@@ -212,7 +215,7 @@ def unit_of(dtype: np.dtype, scale: float = 0.0) -> float:
     return scale or (MILLIMETRE if dtype.kind == 'u' else 1.0)
 
 
-def color(msg):
+def color(msg: Any) -> NDArray[np.uint8]:
     """Read a colour image, raw or compressed, as uint8 RGB of shape (H, W, 3)."""
     if hasattr(msg, 'format'):
         return _decoded(compressed.color, msg)
@@ -223,7 +226,7 @@ def color(msg):
     return pixels.copy() if conversion is None else cv2.cvtColor(pixels, conversion)
 
 
-def pose(msg):
+def pose(msg: Any) -> tuple[int, NDArray[np.float64], str, str]:
     """
     Read a pose.
 
@@ -260,7 +263,7 @@ def pose(msg):
     return stamp_ns(msg), transform(xyz, q), frame_id(msg), child
 
 
-def transforms(msg):
+def transforms(msg: Any) -> tuple[list[tuple[int, NDArray[np.float64], str, str]], list[Any]]:
     """
     Read a tf2_msgs/TFMessage.
 
@@ -281,7 +284,7 @@ def transforms(msg):
     return good, faults
 
 
-def unit_quaternion(q):
+def unit_quaternion(q: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
     """Return *q* (x, y, z, w) with norm 1; refuse one that is farther than 1e-2 from it."""
     norm = math.sqrt(sum(x * x for x in q))
     if not abs(norm - 1.0) <= NORM_TOLERANCE:      # also NaN
@@ -290,7 +293,7 @@ def unit_quaternion(q):
     return tuple(x / norm for x in q)
 
 
-def _plane(msg, encodings, what):
+def _plane(msg: Any, encodings: dict[str, str], what: str) -> NDArray[Any]:
     """Return the (H, W) view of a single-channel Image in its own dtype."""
     if msg.encoding not in encodings:
         raise _unknown(msg.encoding, encodings, what)
@@ -299,7 +302,7 @@ def _plane(msg, encodings, what):
     return rows.view(dtype.newbyteorder('>' if msg.is_bigendian else '<'))
 
 
-def _rows(msg, row_bytes):
+def _rows(msg: Any, row_bytes: int) -> NDArray[np.uint8]:
     """Return the (H, row_bytes) uint8 view of an Image, row padding left out."""
     height, step = msg.height, msg.step
     if not (height and row_bytes):
@@ -318,13 +321,14 @@ def _rows(msg, row_bytes):
     return data[:height * step].reshape(height, step)[:, :row_bytes]
 
 
-def _unknown(encoding, known, what):
+def _unknown(encoding: str, known: dict[str, str], what: str) -> BadMessage:
     known = known if known is not LABELS else [*LABELS, *PLANES]
     return BadMessage(f'encoding {encoding!r}', f'{what} has the encoding {encoding!r}, '
                       f'expected one of {", ".join(known)}')
 
 
-def _decoded(decoder, msg):
+def _decoded(
+        decoder: Callable[..., Any], msg: Any) -> NDArray[Any] | tuple[NDArray[np.uint16], str]:
     """Run a decoder of compressed.py, which knows nothing of messages."""
     try:
         return decoder(msg.format, np.frombuffer(msg.data, np.uint8))

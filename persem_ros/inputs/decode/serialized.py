@@ -1,5 +1,9 @@
 """Serialized messages to objects, without ROS."""
 
+from __future__ import annotations
+
+from typing import Any
+
 from persem_ros.inputs.decode.messages import BadMessage
 from rosbags.serde import SerdeError
 from rosbags.typesys import get_types_from_msg, get_typestore, Stores
@@ -14,13 +18,13 @@ VISION = {
 class Decoder:
     """Deserializes messages of ROS 2 Jazzy's own types."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         """Load the types."""
         self._store = get_typestore(Stores.ROS2_JAZZY)
         self._store.register({name: types for kind, text in VISION.items()
                               for name, types in get_types_from_msg(text, kind).items()})
 
-    def __call__(self, data, typename):
+    def __call__(self, data: bytes, typename: str) -> Any:
         """Return the message; BadMessage where its bytes are damaged."""
         try:
             return self._store.deserialize_cdr(data, typename)

@@ -1,11 +1,17 @@
 """What is said beside the images of a recording: static transforms and names of classes."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 from itertools import islice
+from typing import Any, TYPE_CHECKING
 
-from persem_ros.inputs.decode import legends as legend_tables
-from persem_ros.inputs.decode import messages
+from persem_ros.inputs.decode import legends as legend_tables, messages
 from persem_ros.inputs.decode.messages import BadMessage
+
+if TYPE_CHECKING:
+    from persem_ros.inputs.recording.source import Source
+    from persem_ros.inputs.recording.topics import Choice
 
 
 @dataclass
@@ -31,14 +37,14 @@ class Latched:
     faults: list = field(default_factory=list)
     sources: list = field(default_factory=list)
 
-    def of(self, topics):
+    def of(self, topics: Any) -> Any:
         """Return the static transforms of some topics (TopicInfo), as in *statics*."""
         names = {topic.name for topic in topics}
         return [found for found, name in zip(self.statics, self.sources, strict=True)
                 if name in names]
 
 
-def read(source, choice):
+def read(source: Source, choice: Choice) -> Latched:
     """
     Read static transforms and names of classes, wherever in the recording they are.
 

@@ -1,19 +1,29 @@
 """One reading of an input: messages in, frames out, in the order of header stamps."""
 
+from __future__ import annotations
+
 from bisect import bisect_left
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 import sys
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from persem_ros.errors import PersemError
 from persem_ros.inputs import names
-from persem_ros.inputs.intake import (
-    INFO, Intake, LABELS_INFO, LEGEND, ORDER, POSE, TF)
+from persem_ros.inputs.intake import INFO, Intake, LABELS_INFO, LEGEND, ORDER, POSE, TF
 from persem_ros.inputs.sync.pairing import (
     COLOR, CONFIDENCE, DEPTH, DEPTH_CONFIDENCE, LABELS, NO_DEPTH, TRUTH)
 from persem_ros.inputs.sync.poses import PoseBuffer
+
+if TYPE_CHECKING:
+    from persem_ros.frames import Frame
+    from persem_ros.inputs.intake import Raw, Station
+    from persem_ros.inputs.recording.recording import Recording
+    from persem_ros.inputs.recording.source import TopicInfo
+    from persem_ros.inputs.sync.pairing import Match
 
 AHEAD = 30.0            # s that poses are read before the images: what one needs is there
 POSES_KEPT = 300.0      # s
@@ -41,7 +51,8 @@ class Reading(Intake):
 
     """
 
-    def __init__(self, recording, truth=False, color=False, first=None, last=None, every=1):
+    def __init__(self, recording: Recording, truth: bool = False, color: bool = False,
+                 first: Any = None, last: Any = None, every: Any = 1) -> None:
         """Set up the queues."""
         config = recording.config
         self._tolerance = round(config.sync.tolerance * 1e9)
@@ -62,7 +73,7 @@ class Reading(Intake):
             self._add_camera(name, chosen, [k for k in companions if k in chosen])
         self._add_names(config)
 
-    def frames(self):
+    def frames(self) -> Iterator[Frame]:
         """Yield the frames; the recording's counters follow."""
         for topic, kind, stamp, data in self._messages():
             self._front = stamp
@@ -73,29 +84,29 @@ class Reading(Intake):
         yield from self.leaving(self._front, True)
         self._conclude()
 
-    def may_leave(self, stamp, number, match, now):
+    def may_leave(self, stamp: int, number: int, match: Match, now: int) -> bool:
         """Whether the other cameras have only later images."""
         return len(self.stations) == 1 or stamp < self.oldest_pending(sys.maxsize)
 
-    def wanted(self, match, number):
+    def wanted(self, match: Any, number: Any) -> Any:
         """Whether it is the turn of a match, of camera *number*, to become a frame."""
         self._complete[number] += 1
         return (self._complete[number] - 1) % self._every == 0
 
-    def left(self, station, stamp):
+    def left(self, station: Station, stamp: int) -> None:
         """Forget the poses that only earlier frames would ask for."""
         station.poses.forget(min(stamp, self.oldest_pending(stamp)))
 
-    def oldest_pending(self, default):
+    def oldest_pending(self, default: int) -> int:
         """Return the earliest stamp that may still come."""
         pending = super().oldest_pending(default)
         return pending if len(self.stations) == 1 else min(pending, self._front)
 
-    def no_mount(self, reason, sentence):
+    def no_mount(self, reason: Any, sentence: Any) -> None:
         """Refuse poses that never lead to the camera."""
         raise PersemError(f'{self._recording.path}: {sentence}')
 
-    def _messages(self):
+    def _messages(self) -> Any:
         """Yield (topic, type, stamp, data) in the order of stamps, poses ahead of the images."""
         kinds = {topic: {role for role, _ in takers} for topic, takers in self._roles.items()}
         ahead = round(AHEAD * 1e9)
@@ -110,7 +121,7 @@ class Reading(Intake):
             shifts, ranks, None if first is None else first - self._tolerance,
             None if last is None else last + self._tolerance, images)
 
-    def push_image(self, station, role, stamp, raw, now):
+    def push_image(self, station: Station, role: str, stamp: int, raw: Raw, now: int) -> None:
         """Hand an image to its synchroniser, a label image only from between the bounds."""
         first, last = self._bounds
         if role == LABELS and (first is not None and stamp < first
@@ -120,7 +131,7 @@ class Reading(Intake):
             self._depth.setdefault(station, []).append(stamp)
         super().push_image(station, role, stamp, raw, now)
 
-    def _add_camera(self, name, chosen, companions):
+    def _add_camera(self, name: str, chosen: dict[str, TopicInfo], companions: list[str]) -> None:
         needed = [kind for kind in (DEPTH, CONFIDENCE, DEPTH_CONFIDENCE) if kind in chosen]
         station = self.add_camera(name, self._pose_buffer(name, chosen), companions,
                                   needed)
@@ -131,7 +142,7 @@ class Reading(Intake):
         for kind in (LABELS, *needed, *companions, *infos):
             self._roles.setdefault(chosen[kind].name, []).append((kind, station))
 
-    def _add_names(self, config):
+    def _add_names(self, config: Any) -> None:
         """Know what the recording says of its classes: with stamps, or by the order of arrival."""
         given = self._recording.given_legend
         tables = self._recording.tables
@@ -142,7 +153,7 @@ class Reading(Intake):
             for topic in self._recording.choice.legends:
                 self._roles.setdefault(topic.name, []).append((LEGEND, None))
 
-    def _pose_buffer(self, camera, chosen):
+    def _pose_buffer(self, camera: Any, chosen: dict[str, TopicInfo]) -> PoseBuffer:
         """Return the buffer of a camera's poses; cameras with one pose topic share it."""
         choice = self._recording.choice
         tf = choice.tf_of(camera)
@@ -160,7 +171,7 @@ class Reading(Intake):
                     takers.append((TF, self._buffers[name]))
         return self._buffers[name]
 
-    def _note_miss(self, station, match, reason):
+    def _note_miss(self, station: Any, match: Any, reason: Any) -> None:
         """Keep why a label image was dropped, as long as what tells it is there."""
         if reason in self._missed:
             poses, stamp, frame_id = self._missed.pop(reason)
@@ -172,7 +183,7 @@ class Reading(Intake):
             self._misses.append(min((match.stamp - stamp for stamp in depth[max(i - 1, 0):i + 1]),
                                     key=abs))
 
-    def _explain_misses(self):
+    def _explain_misses(self) -> None:
         """Write to `examples` how far labels were from depth."""
         if self._misses:
             low, middle, high = np.percentile(np.array(self._misses) / 1e6, (5, 50, 95))
@@ -186,7 +197,7 @@ class Reading(Intake):
         elif self.dropped[NO_DEPTH]:
             self.examples[NO_DEPTH] = 'no depth image was there at all'
 
-    def _conclude(self):
+    def _conclude(self) -> None:
         """Tell the recording what only the end of a reading knows."""
         for buffer in self._buffers.values():
             for key, text in buffer.notes.items():

@@ -1,7 +1,13 @@
 """A recording as a stream of frames: what a replay reads."""
 
-from collections import Counter
+from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any, TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
 from persem_ros.errors import PersemError
 from persem_ros.guard import limits
 from persem_ros.inputs import names
@@ -17,6 +23,12 @@ from persem_ros.inputs.recording.topics import Choice, first_messages
 from persem_ros.inputs.sync.pairing import UNUSED
 from persem_ros.inputs.sync.poses import PoseBuffer
 from persem_ros.settings.legend import load_legend
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from persem_ros.frames import Frame
+    from persem_ros.settings.config import Config
 
 
 class Recording:
@@ -62,7 +74,9 @@ class Recording:
 
     """
 
-    def __init__(self, path, config, source=None, excerpt=WHOLE):
+    def __init__(
+            self, path: Path | str, config: Config, source: Any = None, excerpt: Any = WHOLE
+    ) -> None:
         """Open the recording, choose topics, read static transforms and camera infos."""
         limits.use(config.inputs.max_pixels)
         self.source = source or Source(path)
@@ -86,49 +100,49 @@ class Recording:
             self.close()
             raise
 
-    def __enter__(self):
+    def __enter__(self) -> Recording:
         """Return the open recording."""
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *_: Any) -> None:
         """Close the recording."""
         self.close()
 
-    def close(self):
+    def close(self) -> None:
         """Close the files."""
         self.source.close()
 
     @property
-    def notes(self):
+    def notes(self) -> list[Any]:
         """Return what the user should know and what did not prevent the use: sentences."""
         return self.source.notes + self._latched.faults + list(self._notes.values())
 
     @property
-    def legend(self):
+    def legend(self) -> Any:
         """Return the Legend of the map: labels.legend, else the recording's, with all names."""
         return self.names.legend
 
     @property
-    def legend_text(self):
+    def legend_text(self) -> str:
         """Return the same as YAML, '' where there is none."""
         return self.names.legend.to_yaml()
 
     @property
-    def tables(self):
+    def tables(self) -> Any:
         """Return the tables of class names in the order of the recording."""
         return self._latched.tables
 
     @property
-    def statics(self):
+    def statics(self) -> list[tuple[NDArray[np.float64], str, str]]:
         """Return the static transforms: a list of (T_parent_child, parent, child)."""
         return self._latched.statics
 
-    def statics_of(self, camera):
+    def statics_of(self, camera: Any) -> Any:
         """Return the static transforms of the robot that carries a camera."""
         return self._latched.of(self.choice.tf_static_of(camera))
 
     @property
-    def index(self):
+    def index(self) -> Any:
         """Return the Index of everything that a reading may use, made when it is first asked."""
         if self._index is None:
             used = {topic for chosen in self.topics.values() for topic in chosen.values()}
@@ -143,7 +157,7 @@ class Recording:
         return self._index
 
     @property
-    def bounds(self):
+    def bounds(self) -> Any:
         """Return the stamps of the first and last label image of the excerpt, ns; or None."""
         if self._bounds is None:
             first = None
@@ -154,14 +168,14 @@ class Recording:
         return self._bounds
 
     @property
-    def expected(self):
+    def expected(self) -> Any:
         """Return the number of label images, for progress; frames may be fewer."""
         if self.excerpt == WHOLE:
             return sum(chosen['labels'].count for chosen in self.topics.values())
         names = {chosen['labels'].name for chosen in self.topics.values()}
         return -(-self.index.between(names, *self.bounds) // self.excerpt.every)
 
-    def carried(self, camera):
+    def carried(self, camera: Any) -> Any:
         """
         Return whether a camera moves on the body that its pose topic places (a gimbal).
 
@@ -184,11 +198,11 @@ class Recording:
             return False
         return not poses.fixed(frame)
 
-    def has(self, kind):
+    def has(self, kind: str) -> bool:
         """Return whether any camera has the optional topic 'truth' or 'color'."""
         return any(kind in chosen for chosen in self.topics.values())
 
-    def frames(self, truth=False, color=False):
+    def frames(self, truth: bool = False, color: bool = False) -> Iterator[Frame]:
         """
         Read the recording once.
 
@@ -217,11 +231,11 @@ class Recording:
         if not used:
             raise PersemError(self.nothing())
 
-    def note(self, key, text):
+    def note(self, key: Any, text: Any) -> None:
         """Keep a sentence for the user, one for each *key*."""
         self._notes[key] = text
 
-    def nothing(self):
+    def nothing(self) -> Any:
         """Return the sentence that says why no frame could be made."""
         if self.excerpt != WHOLE and not self.expected:
             names = {chosen['labels'].name for chosen in self.topics.values()}
@@ -234,7 +248,7 @@ class Recording:
         why = self.examples.get(worst, '')
         return f'{self.path} gave no frame: {counted}' + (f'; {why}' if why else '')
 
-    def _read_infos(self):
+    def _read_infos(self) -> dict[str, Any]:
         """Return the first camera info of each topic, refusing those that no image can use."""
         names = {chosen['camera_info'].name for chosen in self.topics.values()
                  if 'camera_info' in chosen}

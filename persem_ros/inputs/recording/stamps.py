@@ -1,7 +1,10 @@
 """The stamp in the first bytes of a serialized message: what sorts messages, unread."""
 
+from __future__ import annotations
+
 import functools
 import struct
+from typing import Any
 
 from rosbags.typesys import get_typestore, Stores
 
@@ -48,5 +51,5 @@ def stamp_of(msgtype: str, head: bytes) -> int | None:
 
 
 @functools.cache
-def _types():
+def _types() -> Any:
     return get_typestore(Stores.ROS2_JAZZY).fielddefs

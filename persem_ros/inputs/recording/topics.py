@@ -1,13 +1,20 @@
 """Which topics of a recording are used; where one is missing, what to type instead."""
 
+from __future__ import annotations
+
 from contextlib import suppress
 from itertools import islice
 from shlex import quote
+from typing import Any, TYPE_CHECKING
 
 from persem_ros.errors import PersemError
 from persem_ros.inputs.decode import clouds, legends, messages
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.settings.config import Topics, topics_of
+
+if TYPE_CHECKING:
+    from persem_ros.inputs.recording.source import Source, TopicInfo
+    from persem_ros.settings.config import Config
 
 IMAGE = 'sensor_msgs/msg/Image'
 COMPRESSED = 'sensor_msgs/msg/CompressedImage'
@@ -50,7 +57,7 @@ class Choice:
 
     """
 
-    def __init__(self, source, config):
+    def __init__(self, source: Source, config: Config) -> None:
         """Match the settings with what is there."""
         self._source = source
         self._encodings = None
@@ -67,15 +74,15 @@ class Choice:
         self.cameras = {name: self._camera(config, name)
                         for name in [n for n in config.cameras if n] or ['']}
 
-    def tf_of(self, camera):
+    def tf_of(self, camera: Any) -> Any:
         """Return the topics with moving transforms of the robot that carries a camera."""
         return self._of_robot(self.tf, camera)
 
-    def tf_static_of(self, camera):
+    def tf_static_of(self, camera: Any) -> Any:
         """Return the topics with static transforms of the robot that carries a camera."""
         return self._of_robot(self.tf_static, camera)
 
-    def _of_robot(self, topics, camera):
+    def _of_robot(self, topics: Any, camera: Any) -> Any:
         """Return those of *topics* that lie in the namespace of a camera or above, else all."""
         if self._tf:
             tail = topics[0].name.rpartition('/')[2] if topics else ''
@@ -90,14 +97,14 @@ class Choice:
             own = [t for t in own if t.name.count('/') in (1, deepest)]
         return list(dict.fromkeys(own or topics))
 
-    def check(self):
+    def check(self) -> None:
         """Refuse a choice with something missing."""
         if self.problems:
             path = self._source.path
             raise PersemError(f'{path}: {"; ".join(self.problems)}; "persem info '
                               f'{quote(str(path))}" lists all topics')
 
-    def candidates(self, kind, taken=()):
+    def candidates(self, kind: str, taken: tuple[TopicInfo, ...] = ()) -> list[TopicInfo]:
         """Return the topics that could serve as *kind*, the likely ones first; none of *taken*."""
         fitting = [t for t in self._topics if t.msgtype in self._types(kind) and t not in taken]
         if kind not in ('labels', 'depth', 'truth'):
@@ -107,7 +114,7 @@ class Choice:
         fitting = [t for t in fitting if _encodes(encodings.get(t.name, ''), kind, known)]
         return sorted(fitting, key=lambda t: ('depth' in t.name.lower()) != (kind == 'depth'))
 
-    def encodings(self):
+    def encodings(self) -> dict[str, str]:
         """Return the encoding or format of the first message of every image topic, by name."""
         if self._encodings is None:
             self._encodings = {}
@@ -117,7 +124,7 @@ class Choice:
                     getattr(msg, 'format', '')
         return self._encodings
 
-    def _camera(self, config, camera):
+    def _camera(self, config: Config, camera: str) -> dict[str, TopicInfo]:
         topics = topics_of(config, camera)
         prefix = f'cameras.{camera}.topics' if camera else 'topics'
         chosen, missing = {}, {}
@@ -152,7 +159,7 @@ class Choice:
             self._other_camera(topics, chosen)
         return chosen
 
-    def _other_camera(self, topics, chosen):
+    def _other_camera(self, topics: Any, chosen: Any) -> None:
         """Add the labels' own camera info where the labels are in another frame than the depth."""
         names = {chosen[kind].name for kind in ('labels', 'depth')}
         frames = {name: messages.frame_id(msg)
@@ -163,7 +170,7 @@ class Choice:
                 chosen[LABELS_INFO] = self._labels_info(topics.labels_info, topics,
                                                         chosen['labels'])
 
-    def _labels_info(self, wanted, topics, labels):
+    def _labels_info(self, wanted: Any, topics: Any, labels: Any) -> Any:
         """
         Return the topic with the intrinsics of the label images; LookupError where none is.
 
@@ -190,7 +197,7 @@ class Choice:
                 return info
         return self._find(LABELS_INFO, wanted)
 
-    def _refuse_twice(self, chosen, prefix):
+    def _refuse_twice(self, chosen: dict[str, TopicInfo], prefix: str) -> None:
         """Note the topics that one camera uses for two kinds of images."""
         kinds = [kind for kind in ('depth', 'labels', 'truth', 'color') if kind in chosen]
         for i, kind in enumerate(kinds):
@@ -200,14 +207,14 @@ class Choice:
                     self.problems.append(f'{prefix}.{other} and {prefix}.{kind} are the same '
                                          f'topic, {chosen[kind].name}{flags}')
 
-    def _types(self, kind):
+    def _types(self, kind: str) -> tuple[str, ...]:
         if kind == 'pose':
             return self._pose_types
         if kind == 'points':
             return (POINTS,)
         return (INFO,) if kind in ('camera_info', LABELS_INFO) else (IMAGE, COMPRESSED)
 
-    def _find(self, kind, wanted):
+    def _find(self, kind: str, wanted: str) -> TopicInfo:
         """Return the topic for *wanted*; LookupError with what stands in the way."""
         types = self._types(kind)
         tails = [wanted.strip('/')]
@@ -232,7 +239,9 @@ class Choice:
                 raise LookupError(f', which could be any of {len(below)} topics')
         raise LookupError()
 
-    def _flags(self, kinds, prefix, taken, extra=''):
+    def _flags(
+            self, kinds: tuple[str], prefix: str, taken: tuple[TopicInfo, ...], extra: str = ''
+    ) -> str:
         """Return ' (--set ... or --set ...)' with the candidates for *kinds* but those *taken*."""
         flags = [f'--set {prefix}.{kind}={t.name}' for kind in kinds
                  for t in self.candidates(kind, taken)[:SHOWN]]
@@ -241,7 +250,7 @@ class Choice:
         return f' ({" or ".join(flags)})' if flags else f' (no {other}topic of that kind is there)'
 
 
-def roles_of(config, topics):
+def roles_of(config: Any, topics: Any) -> Any:
     """
     Return what a camera needs or may have: {kind: the setting topics.* that says where}.
 
@@ -258,7 +267,7 @@ def roles_of(config, topics):
     return {**roles, LABELS_INFO: LABELS_INFO}
 
 
-def _legends(topics, wanted):
+def _legends(topics: Any, wanted: Any) -> Any:
     """Return the topic with class names, [] where there is none: one, for two may contradict."""
     fitting = [t for t in topics if t.msgtype in legends.TYPES]
     ways = (lambda t: t.name.strip('/') == wanted.strip('/'),
@@ -269,7 +278,7 @@ def _legends(topics, wanted):
     return next(([t] for way in ways for t in fitting if way(t)), [])
 
 
-def first_messages(source, names):
+def first_messages(source: Source, names: set[str]) -> dict[str, Any]:
     """Return the first message of each topic in *names* that can be decoded, by name."""
     found = {}
     for name in sorted(names):      # one search each: it ends where the topic begins
@@ -282,7 +291,7 @@ def first_messages(source, names):
     return found
 
 
-def _encodes(encoding, kind, known):
+def _encodes(encoding: str, kind: str, known: dict[str, str]) -> bool:
     """Return whether an image encoding or format can serve as labels or depth."""
     if not encoding or 'compressedDepth' in encoding:
         return not encoding or kind == 'depth'

@@ -7,9 +7,17 @@ off cannot time out everybody else.
 
 """
 
+from __future__ import annotations
+
 from bisect import bisect_left, insort
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any, TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from persem_ros.inputs.intake import Raw
+    from persem_ros.settings.config import Sync
 
 LABELS, DEPTH, TRUTH, COLOR = 'labels', 'depth', 'truth', 'color'
 CONFIDENCE, DEPTH_CONFIDENCE = 'confidence', 'depth_confidence'
@@ -106,8 +114,10 @@ class Synchronizer:
 
     """
 
-    def __init__(self, sync, lookup=None, companions=(), patient=False, pose_wait=None,
-                 keep=KEEP, max_bytes=256 << 20, dropped=None, needed=(DEPTH,)):
+    def __init__(self, sync: Sync, lookup: Callable[..., Any] | None = None,
+                 companions: list[str] = (), patient: bool = False, pose_wait: float | None = None,
+                 keep: float = KEEP, max_bytes: int = 256 << 20,
+                 dropped: Counter[Any] | None = None, needed: Any = (DEPTH,)) -> None:
         """Start empty."""
         self.dropped = Counter() if dropped is None else dropped
         self._keep_for, self._wait_for_pose = keep, pose_wait
@@ -120,7 +130,7 @@ class Synchronizer:
         self.on_drop = lambda match, reason: None
         self.clear()
 
-    def configure(self, sync, max_bytes=None):
+    def configure(self, sync: Sync, max_bytes: Any = None) -> None:
         """Go on with other settings (persem_ros.settings.config.Sync) and bound in bytes."""
         if max_bytes is not None:
             self._max_bytes = max_bytes
@@ -130,7 +140,7 @@ class Synchronizer:
         self._pose_wait = self._wait if self._wait_for_pose is None \
             else round(self._wait_for_pose * 1e9)
 
-    def clear(self):
+    def clear(self) -> None:
         """Forget everything held and every stamp seen (the clock went back)."""
         self._matches = []                                  # in stamp order
         self._queues = {kind: [] for kind in self._partners}
@@ -139,11 +149,11 @@ class Synchronizer:
         self.bytes = 0
 
     @property
-    def first_pending(self):
+    def first_pending(self) -> Any:
         """Stamp of the earliest label image held, None where none is."""
         return self._matches[0].stamp if self._matches else None
 
-    def push(self, kind, stamp, item, size, now):
+    def push(self, kind: str, stamp: int, item: Raw, size: int, now: int) -> None:
         """
         Take one image; call `advance` afterwards.
 
@@ -168,7 +178,7 @@ class Synchronizer:
             while self.bytes > self._max_bytes:
                 self._drop_oldest()
 
-    def advance(self, now):
+    def advance(self, now: float) -> list[Match]:
         """Return the matches that can leave at time *now*, in stamp order."""
         self._settle(now)
         leaving = []
@@ -177,11 +187,11 @@ class Synchronizer:
         self._prune(now)
         return leaving
 
-    def flush(self):
+    def flush(self) -> list[Match]:
         """Return what can still leave when nothing more will come; drop the rest."""
         return self.advance(float('inf'))
 
-    def _push_label(self, stamp, item, size, now):
+    def _push_label(self, stamp: int, item: Raw, size: int, now: int) -> bool:
         if self._left is not None and stamp <= self._left:
             self.dropped[repeated(stamp) if stamp == self._left else WENT_BACK] += 1
             return False
@@ -200,7 +210,7 @@ class Synchronizer:
                 self._join(match, kind, queue.pop(j), now)
         return True
 
-    def _push_partner(self, kind, stamp, item, size, now):
+    def _push_partner(self, kind: str, stamp: int, item: Raw, size: int, now: int) -> bool:
         waiting = _Waiting(stamp, item, size, now)
         self._latest[kind] = stamp
         i = bisect_left(self._matches, stamp, key=_stamp)
@@ -218,14 +228,14 @@ class Synchronizer:
         insort(queue, waiting)
         return True
 
-    def _join(self, match, kind, waiting, now):
+    def _join(self, match: Match, kind: str, waiting: _Waiting, now: int) -> None:
         match.items[kind] = waiting.item
         match.size += waiting.size
         match.missing.discard(kind)
         if kind in self.needed and not self.needed & match.missing:
             match.complete = now
 
-    def _settle(self, now):
+    def _settle(self, now: float) -> None:
         """Give label images without an exact partner the nearest one, where that is decided."""
         for match in self._matches:
             waited = now - match.arrival >= self._wait
@@ -242,7 +252,7 @@ class Synchronizer:
                 elif kind not in self.needed and self._patient and (passed or waited):
                     match.missing.discard(kind)
 
-    def _nearest(self, kind, stamp):
+    def _nearest(self, kind: str, stamp: int) -> Any:
         """Return the index of the nearest image in a queue within the tolerance, else None."""
         queue = self._queues[kind]
         i = bisect_left(queue, stamp, key=_stamp)
@@ -250,7 +260,7 @@ class Synchronizer:
                 and abs(queue[j].stamp - stamp) <= self._tolerance]
         return min(near, key=lambda j: (abs(queue[j].stamp - stamp), j), default=None)
 
-    def _head_leaves(self, now, leaving):
+    def _head_leaves(self, now: float, leaving: list[Match]) -> bool:
         """Let the earliest label image leave or drop; return False where it has to wait."""
         match = self._matches[0]
         if self.needed & match.missing:
@@ -276,13 +286,13 @@ class Synchronizer:
         leaving.append(match)
         return True
 
-    def _drop_head(self, reason):
+    def _drop_head(self, reason: str) -> None:
         match = self._matches.pop(0)
         self.bytes -= match.size
         self.dropped[reason] += 1
         self.on_drop(match, reason)
 
-    def _prune(self, now):
+    def _prune(self, now: float) -> None:
         """Drop images that waited for long and that no label image held could take."""
         for kind, queue in self._queues.items():
             while queue:
@@ -292,17 +302,17 @@ class Synchronizer:
                     break
                 self._drop_partner(kind)
 
-    def _wanted(self, stamp):
+    def _wanted(self, stamp: int) -> bool:
         """Return whether a label image is held within the tolerance of *stamp*."""
         i = bisect_left(self._matches, stamp - self._tolerance, key=_stamp)
         return i < len(self._matches) and self._matches[i].stamp <= stamp + self._tolerance
 
-    def _drop_partner(self, kind, reason=None):
+    def _drop_partner(self, kind: str, reason: Any = None) -> None:
         self.bytes -= self._queues[kind].pop(0).size
         if kind == DEPTH or reason:
             self.dropped[f'{kind}: {reason}' if reason else UNUSED] += 1
 
-    def _drop_oldest(self):
+    def _drop_oldest(self) -> None:
         """Make room: what arrived first goes."""
         heads = [(queue[0].arrival, kind) for kind, queue in self._queues.items() if queue]
         first = min(heads, default=(float('inf'), ''))
@@ -311,17 +321,17 @@ class Synchronizer:
         else:
             self._drop_partner(first[1], QUEUE_FULL)
 
-    def _why_full(self, match):
+    def _why_full(self, match: Any) -> Any:
         """Return what the earliest label image waits for, if that is why the queue is full."""
         if self.needed & match.missing or self._lookup is None:
             return QUEUE_FULL
         return self._lookup(match).reason or QUEUE_FULL
 
 
-def repeated(stamp):
+def repeated(stamp: Any) -> Any:
     """Return the reason for a stamp that was there before."""
     return REPEATED if stamp else ZERO
 
 
-def _stamp(item):
+def _stamp(item: Match | _Waiting) -> int:
     return item.stamp

@@ -1,11 +1,13 @@
 """Where the camera was: a pose topic or /tf, and what leads from there to the image's frame."""
 
+from __future__ import annotations
+
 from bisect import bisect_left
 import re
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
 from persem_ros.core.transforms import transform
 from persem_ros.errors import PersemError
 from persem_ros.inputs.decode.messages import unit_quaternion
@@ -316,7 +318,7 @@ class PoseBuffer:
         return self.tree.chain(child, frame, None).T if child else None
 
 
-def _extrinsic(values):
+def _extrinsic(values: tuple[float, ...]) -> Any:
     """Return the 4x4 matrix of the setting pose.extrinsic, None where it is all 0."""
     if not any(values):
         return None
@@ -327,7 +329,7 @@ def _extrinsic(values):
                           f'length 1, got {list(values)}') from None
 
 
-def _seconds(stamp):
+def _seconds(stamp: int) -> str:
     return f'{stamp // 10**9}.{stamp % 10**9:09d} s'
 
 

@@ -1,6 +1,9 @@
 """Telling a clock that went back from a single stamp that is off; no clock in here."""
 
+from __future__ import annotations
+
 from collections import deque
+from typing import Any
 
 ONWARD, ODD, BACK = 'onward', 'odd', 'back'
 REMEMBERED = 3      # stamps; their median is not moved by one that is hours off
@@ -20,18 +23,18 @@ class Timeline:
 
     """
 
-    def __init__(self, tolerance):
+    def __init__(self, tolerance: Any) -> None:
         """Start without stamps."""
         self._tolerance = tolerance
         self._recent = deque(maxlen=REMEMBERED)
         self._odd = None
 
     @property
-    def now(self):
+    def now(self) -> Any:
         """Return the median of the recent stamps, None before the first."""
         return sorted(self._recent)[len(self._recent) // 2] if self._recent else None
 
-    def judge(self, stamp):
+    def judge(self, stamp: Any) -> Any:
         """Return `ONWARD`, `ODD` (too early, but alone so far) or `BACK` (the second one)."""
         if self.now is None or stamp >= self.now - self._tolerance:
             self._recent.append(stamp)
@@ -43,7 +46,7 @@ class Timeline:
         self._odd = stamp
         return ODD
 
-    def restart(self, *stamps):
+    def restart(self, *stamps: Any) -> None:
         """Forget what was before *stamps*."""
         self._recent.clear()
         self._recent.extend(stamps)

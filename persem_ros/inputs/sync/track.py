@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-
 from persem_ros.core.transforms import matrix_to_quaternion, slerp, transform
 
 NO_POSE = 'no pose'

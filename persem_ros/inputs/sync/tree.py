@@ -5,7 +5,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-
 from persem_ros.core.transforms import inverse
 from persem_ros.inputs.sync.track import Lookup, NO_POSE, Track
 from persem_ros.settings.config import Pose

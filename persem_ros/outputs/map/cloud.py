@@ -1,6 +1,14 @@
 """The map as points: one per voxel, as in ~/map and map.ply (spec section 8)."""
 
+from __future__ import annotations
+
+from typing import Any, TYPE_CHECKING
+
 import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from persem_ros.settings.legend import Legend
 
 POINT = np.dtype({
     'names': ['x', 'y', 'z', 'rgb', 'label', 'majority', 'confidence', 'observations', 'source'],
@@ -11,7 +19,7 @@ SOURCES = ('majority', 'history', 'trust', 'context', 'geometry')
 COPIED = ('label', 'majority', 'confidence', 'observations', 'source')
 
 
-def map_points(columns, voxel_size, legend):
+def map_points(columns: dict[str, Any], voxel_size: float, legend: Legend) -> NDArray[np.void]:
     """
     Return the map's points.
 
@@ -43,7 +51,7 @@ def map_points(columns, voxel_size, legend):
     return points
 
 
-def colors_of(points):
+def colors_of(points: NDArray[np.void]) -> NDArray[np.uint8]:
     """Return red, green, blue of points as (n, 3) uint8."""
     packed = np.ascontiguousarray(points['rgb']).view(np.uint32)
     return np.stack([packed >> 16, packed >> 8, packed], axis=1).astype(np.uint8)

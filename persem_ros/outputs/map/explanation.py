@@ -1,13 +1,26 @@
 """The trace of a voxel (core.explain) as text for people."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
 from persem_ros.core.memory.evidence import TIE
 from persem_ros.outputs.map.cloud import SOURCES
+
+if TYPE_CHECKING:
+    from persem_ros.core.memory.voxel_memory import FrameRecord
+    from persem_ros.outputs.map.store import StoredMap
+    from persem_ros.settings.config import Refine
+    from persem_ros.settings.legend import Legend
 
 TILTS = ('upright', 'sloping', 'level', 'of no direction')
 ROUGHNESS = ('smooth', 'rough', 'scattered')
 
 
-def explanation(stored, voxel, trace):
+def explanation(stored: StoredMap, voxel: NDArray[np.int32], trace: dict[str, Any]) -> str:
     """
     Return what a voxel has seen and why it has its label, as lines of text.
 
@@ -40,12 +53,14 @@ def explanation(stored, voxel, trace):
     return '\n'.join(lines)
 
 
-def names(legend):
+def names(legend: Legend) -> Callable[..., Any]:
     """Return a function that gives a class id's name, fit for a terminal."""
     return lambda c: ''.join(x if x.isprintable() else '?' for x in legend.name(c))
 
 
-def reasons(trace, settings, name, voxel_size):
+def reasons(
+        trace: dict[str, Any], settings: Refine, name: Callable[..., Any], voxel_size: Any
+) -> list[str]:
     """Return the steps from the evidence to the label, a sentence each, with their numbers."""
     majority, result = trace['majority'], []
     most = trace['evidence'][majority]
@@ -72,9 +87,9 @@ def reasons(trace, settings, name, voxel_size):
     return result
 
 
-def _by_geometry(found, voxel_size, name):
+def _by_geometry(found: Any, voxel_size: Any, name: Any) -> Any:
     """Return the sentences about votes, place, names of such places, neighbours and outcome."""
-    def leading(values):
+    def leading(values: Any) -> Any:
         best = sorted(values, key=lambda c: (-values[c], c))[:3]
         return ', '.join(f'{name(c)} {values[c]:.2f}' for c in best if values[c] >= 0.005)
 
@@ -88,7 +103,7 @@ def _by_geometry(found, voxel_size, name):
     return result + [f'all together: {leading(found["posterior"])}']
 
 
-def geometry_table(found, name):
+def geometry_table(found: Any, name: Any) -> Any:
     """Return the table of what each class gets from every part of the method geometry."""
     lines = [f'{"id":>5}  {"class":<20}{"votes":>9}{"pi":>9}{"shape":>9}{"cell":>9}'
              f'{"cell/2":>9}{"around":>9}{"posterior":>11}']
@@ -101,7 +116,7 @@ def geometry_table(found, name):
     return lines
 
 
-def _refinement(trace, settings, name):
+def _refinement(trace: dict[str, Any], settings: Refine, name: Callable[..., Any]) -> list[str]:
     """Return the sentences about anchor, replay and context."""
     majority, candidate, result = trace['majority'], trace['candidate'], []
     if settings.method in ('history', 'context_history', 'persem'):
@@ -131,7 +146,7 @@ def _refinement(trace, settings, name):
     return result
 
 
-def _anchor(trace, settings, name):
+def _anchor(trace: dict[str, Any], settings: Refine, name: Callable[..., Any]) -> str:
     """Return the sentence about the history anchor."""
     label, majority = trace['anchor_label'], trace['majority']
     if label is None:
@@ -143,12 +158,12 @@ def _anchor(trace, settings, name):
     return text
 
 
-def _against(margin, tau):
+def _against(margin: float, tau: float) -> str:
     """Return how a margin stands to its threshold."""
     return 'above' if margin > tau + TIE else 'not above'
 
 
-def evidence_table(trace, name):
+def evidence_table(trace: dict[str, Any], name: Callable[..., Any]) -> list[str]:
     """Return the table of all classes that the voxel or its neighbours have seen."""
     lines = [f'{"id":>5}  {"class":<20}{"h_v":>10}{"p_v":>9}{"q_v":>9}{"S_hard":>9}'
              f'{"anchor":>9}{"replayed":>10}']
@@ -161,7 +176,8 @@ def evidence_table(trace, name):
     return lines
 
 
-def history_table(trace, frames, name):
+def history_table(
+        trace: dict[str, Any], frames: list[FrameRecord], name: Callable[..., Any]) -> list[str]:
     """Return the table of the stored observations, with the replay's steps."""
     stamps = dict(zip(frames.t[::-1].tolist(), frames.stamp[::-1].tolist()))
     lines = [f'{"t":>6}  {"stamp, s":<22}{"id":>5}  {"class":<20}{"s":>7}{"gap":>6}{"g":>3}'

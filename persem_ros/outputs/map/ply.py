@@ -1,8 +1,17 @@
 """Map points as a binary little-endian PLY file (spec section 8)."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, TYPE_CHECKING
+
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.outputs.files import write_bytes
 from persem_ros.outputs.map.cloud import colors_of, COPIED
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 PROPERTIES = (
     ('x', 'float', '<f4'), ('y', 'float', '<f4'), ('z', 'float', '<f4'),
@@ -13,7 +22,7 @@ PROPERTIES = (
 VERTEX = np.dtype([(name, code) for name, _, code in PROPERTIES])
 
 
-def write_ply(path, points, comments=()):
+def write_ply(path: Path | str, points: NDArray[np.void], comments: Sequence[Any] = ()) -> None:
     """
     Write map points, whole or not at all.
 
@@ -44,7 +53,8 @@ def write_ply(path, points, comments=()):
     write_bytes(path, '\n'.join(lines).encode('ascii', 'replace'), memoryview(vertices).cast('B'))
 
 
-def map_comments(map_frame, origin, voxel_size):
+def map_comments(
+        map_frame: str, origin: tuple[float, float, float], voxel_size: float) -> list[str]:
     """Return header lines that say where the points lie: frame, origin and voxel size."""
     return [f'made by persem_ros; coordinates in metres in the frame {map_frame}',
             f'origin {" ".join(repr(float(x)) for x in origin)} (to be added to x y z)',

@@ -1,10 +1,15 @@
 """The rows of a map file: a MemoryDump as tables, and back (docs/map_file.md)."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator
 from dataclasses import fields
 import struct
+from typing import Any
 import zlib
 
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.core.memory.dump import MemoryDump
 from persem_ros.core.memory.frame_table import FrameTable, Session
 from persem_ros.frames import MAX_ID
@@ -48,7 +53,7 @@ KINDS = {'about': (str, (int, float, str, bytes)), 'sessions': (int, str),
          'classes': (int, int, int, int, float), 'blocks': (int,) * 5 + (bytes,) * len(COLUMNS)}
 
 
-def to_rows(saved, texts):
+def to_rows(saved: MemoryDump, texts: dict[str, str]) -> dict[str, Any]:
     """
     Return {table: iterable of rows} of a map file, in the order of ORDER.
 
@@ -74,7 +79,7 @@ def to_rows(saved, texts):
     return {'about': sorted(about.items()), **small, 'blocks': _block_rows(saved)}
 
 
-def about_rows(about, tables):
+def about_rows(about: Any, tables: Any) -> Any:
     """
     Return the rows that about's 'crc' covers: about's own and those of the smallest tables.
 
@@ -85,14 +90,14 @@ def about_rows(about, tables):
             *(row for name in ('sessions', 'mounts', 'classes') for row in tables[name])]
 
 
-def _mount_rows(saved):
+def _mount_rows(saved: Any) -> Iterator[Any]:
     """Yield the rows of the table mounts."""
     for number, session in sorted(saved.frames.sessions.items()):
         for sensor, mount in sorted(session.mounts.items()):
             yield number, sensor, _matrix(mount)
 
 
-def _frame_rows(saved):
+def _frame_rows(saved: MemoryDump) -> Iterator[tuple[Any, ...]]:
     """Yield the rows of the table frames, in the order of integration."""
     table = saved.frames
     for row in range(len(table)):
@@ -101,12 +106,12 @@ def _frame_rows(saved):
                int(table.stamp[row]), placed, None if best == placed else best)
 
 
-def _matrix(T):
+def _matrix(T: Any) -> Any:
     """Return a 4x4 matrix as bytes."""
     return np.ascontiguousarray(T, '<f8').tobytes()
 
 
-def _class_rows(saved):
+def _class_rows(saved: MemoryDump) -> Iterator[tuple[float, ...]]:
     """Yield the rows of the table classes: ids that were ever counted."""
     rho = np.zeros(len(saved.starts)) if saved.rho is None else saved.rho
     for c in np.flatnonzero((saved.starts != 0) | (saved.changes != 0) | (saved.seen_ids != 0)):
@@ -114,7 +119,7 @@ def _class_rows(saved):
                float(rho[c]))
 
 
-def _block_rows(saved):
+def _block_rows(saved: MemoryDump) -> Iterator[tuple[bytes | int, ...]]:
     """Yield the rows of the table blocks, sorted by index; columns are views, not copies."""
     arrays = {field.name: getattr(saved, field.name) for field in fields(saved)}
     arrays['evidence_count'] = np.diff(saved.evidence_start)
@@ -134,7 +139,7 @@ def _block_rows(saved):
         yield (*key, crc_of([(*key, *data)]), *data)
 
 
-def from_rows(rows):
+def from_rows(rows: dict[str, Any]) -> tuple[dict[str, Any], MemoryDump] | None:
     """
     Return what the rows of a map file say.
 
@@ -198,7 +203,7 @@ def from_rows(rows):
     return about, saved
 
 
-def _frame_table(frames, sessions, mounts):
+def _frame_table(frames: Any, sessions: Any, mounts: Any) -> Any:
     """Return the FrameTable in the rows of three tables."""
     table = FrameTable()
     if [row[0] for row in frames] != list(range(len(frames))):
@@ -214,12 +219,12 @@ def _frame_table(frames, sessions, mounts):
     return table
 
 
-def matrices(blobs):
+def matrices(blobs: Any) -> Any:
     """Return the n 4x4 matrices that are in *blobs*, float64."""
     return np.frombuffer(b''.join(blobs), '<f8').reshape(len(blobs), 4, 4).copy()
 
 
-def crc_of(rows, crc=0):
+def crc_of(rows: Any, crc: Any = 0) -> Any:
     """Return the CRC-32 of rows of numbers, texts and bytes, which goes on from *crc*."""
     for row in rows:
         for value in row:
@@ -228,6 +233,6 @@ def crc_of(rows, crc=0):
     return crc
 
 
-def _starts(counts):
+def _starts(counts: NDArray[np.uint32] | list[int]) -> NDArray[np.int64]:
     """Return 0 and the running sums of counts, int64."""
     return np.concatenate([[0], np.cumsum(counts, dtype=np.int64)]).astype(np.int64)

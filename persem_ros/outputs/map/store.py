@@ -7,6 +7,9 @@ Any SQLite program reads the file; docs/map_file.md describes the columns.
 
 """
 
+from __future__ import annotations
+
+from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
 import logging
@@ -14,18 +17,23 @@ from pathlib import Path
 import shutil
 import sqlite3
 import struct
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.core.memory.dump import dump, load as load_memory, MemoryDump
 from persem_ros.core.memory.pools import SIDE
 from persem_ros.errors import PersemError
 from persem_ros.guard.database import check_tables, checked, opened
 from persem_ros.outputs.files import replacing
 from persem_ros.outputs.map import schema1
-from persem_ros.outputs.map.rows import (
-    from_rows, KINDS, NAMES, ORDER, SCHEMA, TABLES, to_rows)
+from persem_ros.outputs.map.rows import from_rows, KINDS, NAMES, ORDER, SCHEMA, TABLES, to_rows
 from persem_ros.settings import config_file
 from persem_ros.settings.legend import Legend
+
+if TYPE_CHECKING:
+    from persem_ros.core.memory.voxel_memory import VoxelMemory
+    from persem_ros.settings.config import Config
 
 log = logging.getLogger(__name__)
 
@@ -56,7 +64,7 @@ class StoredMap:
     settings: str
     legend: Legend
 
-    def memory(self, config=None):
+    def memory(self, config: Config | None = None) -> VoxelMemory | None:
         """
         Return a VoxelMemory that goes on exactly where the saved one stood.
 
@@ -81,7 +89,7 @@ class StoredMap:
             saved = replace(saved, max_history=wanted)
         return load_memory(saved)
 
-    def bounds(self):
+    def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the corners (3,) of all voxels' centres, metres in the map frame."""
         saved = self.saved
         cell = saved.cell.astype(np.int64)
@@ -90,11 +98,11 @@ class StoredMap:
         return tuple((corner + 0.5) * saved.voxel_size + np.array(saved.origin)
                      for corner in (voxel.min(axis=0), voxel.max(axis=0)))
 
-    def config(self):
+    def config(self) -> Config:
         """Return the Config in force when the map was saved."""
         return config_file.from_text(self.settings, f'settings in {self.path}')
 
-    def _check_fits(self, config):
+    def _check_fits(self, config: Config) -> None:
         """Refuse settings whose voxels are other ones."""
         for name, mine, other in (
                 ('memory.voxel_size', self.saved.voxel_size, config.memory.voxel_size),
@@ -105,7 +113,7 @@ class StoredMap:
                                   f'give {name} {mine} or another map.path')
 
 
-def save(path, memory, config, legend=None):
+def save(path: Path, memory: VoxelMemory, config: Config, legend: Legend | None = None) -> None:
     """
     Save a map, whole or not at all; the same map gives the same bytes.
 
@@ -146,7 +154,7 @@ def save(path, memory, config, legend=None):
             raise PersemError(f'cannot write {path}: {error}') from error
 
 
-def _keep_schema_1(path):
+def _keep_schema_1(path: Any) -> None:
     """Leave a file of schema 1 that is about to be replaced beside it, as NAME.v1."""
     try:
         with open(path, 'rb') as file:
@@ -160,7 +168,7 @@ def _keep_schema_1(path):
         pass
 
 
-def load(path):
+def load(path: Path | str) -> StoredMap | None:
     """
     Return the StoredMap in a file.
 
@@ -190,7 +198,7 @@ def load(path):
     return StoredMap(path, saved, about['map_frame'], about['settings'], legend)
 
 
-def _check_magic(path):
+def _check_magic(path: Path) -> None:
     """Refuse a file that is not there, cannot be read or is no database at all."""
     try:
         with open(path, 'rb') as file:
@@ -205,7 +213,7 @@ def _check_magic(path):
         raise PersemError(f'{path}: not a map file; {EXPECTED}')
 
 
-def _schema(db, path):
+def _schema(db: Any, path: Any) -> Any:
     """Return the schema of a map file; refuse another database, or a schema not known."""
     application = db.execute('PRAGMA application_id').fetchone()[0]
     schema = db.execute('PRAGMA user_version').fetchone()[0]
@@ -217,7 +225,7 @@ def _schema(db, path):
     return schema
 
 
-def _insert(db, table, rows):
+def _insert(db: sqlite3.Connection, table: str, rows: Iterator[Any] | list[Any]) -> None:
     """Insert all rows, whose number of columns the first one tells."""
     rows = iter(rows)
     first = next(rows, None)
@@ -227,7 +235,7 @@ def _insert(db, table, rows):
         db.executemany(statement, rows)
 
 
-def _why(error):
+def _why(error: Any) -> str:
     """Return what is damaged, in a few words."""
     text = str(error) if isinstance(error, (sqlite3.Error, ValueError)) else ''
     return ' '.join(text.split())[:60] or type(error).__name__

@@ -1,6 +1,11 @@
 """Arrays to ROS messages, through the message classes of a rosbags typestore."""
 
+from __future__ import annotations
+
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.core.transforms import matrix_to_quaternion
 from persem_ros.errors import PersemError
 
@@ -21,20 +26,20 @@ class MessageFactory:
 
     """
 
-    def __init__(self, types):
+    def __init__(self, types: dict[str, type[Any]]) -> None:
         self._types = types
 
-    def make(self, name, *values, **fields):
+    def make(self, name: str, *values: Any, **fields: Any) -> Any:
         """Return a message of the type *name*, e.g. 'std_msgs/msg/String'."""
         return self._types[name](*values, **fields)
 
-    def header(self, stamp, frame_id):
+    def header(self, stamp: int, frame_id: str) -> Any:
         """Return a std_msgs/Header."""
         seconds, nanoseconds = divmod(int(stamp), 1_000_000_000)
         time = self.make('builtin_interfaces/msg/Time', seconds, nanoseconds)
         return self.make('std_msgs/msg/Header', time, frame_id)
 
-    def image(self, stamp, frame_id, array, encoding):
+    def image(self, stamp: int, frame_id: str, array: NDArray[Any], encoding: str) -> Any:
         """
         Return a sensor_msgs/Image, little-endian, rows without padding.
 
@@ -65,13 +70,15 @@ class MessageFactory:
         return self.make('sensor_msgs/msg/Image', self.header(stamp, frame_id), *shape, encoding,
                          0, step, data)
 
-    def compressed(self, stamp, frame_id, image_format, data):
+    def compressed(self, stamp: int, frame_id: str, image_format: str, data: bytes) -> Any:
         """Return a sensor_msgs/CompressedImage of encoded bytes or a uint8 array."""
         data = np.frombuffer(data, np.uint8)
         return self.make('sensor_msgs/msg/CompressedImage', self.header(stamp, frame_id),
                          image_format, data)
 
-    def camera_info(self, stamp, frame_id, width, height, K, D=(), model='plumb_bob', P=None):
+    def camera_info(self, stamp: int, frame_id: str, width: int, height: int,
+                    K: NDArray[np.float64], D: NDArray[np.float64] | tuple[float, ...] = (),
+                    model: str = 'plumb_bob', P: NDArray[np.float64] | None = None) -> Any:
         """Return a sensor_msgs/CameraInfo; K (3, 3), D any length, P (3, 4), default [K 0]."""
         K = np.asarray(K, float).reshape(3, 3)
         P = np.hstack([K, np.zeros((3, 1))]) if P is None else np.asarray(P, float).reshape(3, 4)
@@ -81,19 +88,20 @@ class MessageFactory:
             model, np.asarray(D, float).reshape(-1), K.reshape(-1), np.eye(3).reshape(-1),
             P.reshape(-1), 0, 0, roi)
 
-    def _place(self, T, vector):
+    def _place(self, T: NDArray[np.float64], vector: str) -> tuple[Any, Any]:
         T = np.asarray(T, float)
         x, y, z, w = map(float, matrix_to_quaternion(T[:3, :3]))
         return (self.make(f'geometry_msgs/msg/{vector}', *map(float, T[:3, 3])),
                 self.make('geometry_msgs/msg/Quaternion', x, y, z, w))
 
-    def transform(self, stamp, parent, child, T):
+    def transform(self, stamp: int, parent: str, child: str, T: NDArray[np.float64]) -> Any:
         """Return a geometry_msgs/TransformStamped; *T* maps child points to the parent."""
         value = self.make('geometry_msgs/msg/Transform', *self._place(T, 'Vector3'))
         return self.make('geometry_msgs/msg/TransformStamped', self.header(stamp, parent), child,
                          value)
 
-    def pose(self, stamp, frame_id, T, kind='PoseStamped', child_frame=''):
+    def pose(self, stamp: int, frame_id: str, T: NDArray[np.float64], kind: str = 'PoseStamped',
+             child_frame: str = '') -> tuple[str, Any]:
         """
         Return (type name, message) of a pose.
 
@@ -129,7 +137,7 @@ class MessageFactory:
         return 'nav_msgs/msg/Odometry', self.make('nav_msgs/msg/Odometry', header, child_frame,
                                                   pose, twist)
 
-    def cloud(self, stamp, frame_id, points):
+    def cloud(self, stamp: int, frame_id: str, points: NDArray[np.void]) -> Any:
         """
         Return a sensor_msgs/PointCloud2 with one field per field of *points*.
 

@@ -1,10 +1,21 @@
 """The recording refined/: what a node would have published, as rosbag2."""
 
+from __future__ import annotations
+
 from contextlib import ExitStack
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
-
+from numpy.typing import NDArray
 from persem_ros.outputs.recording.writer import RecordingWriter
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from persem_ros.frames import Frame
+    from persem_ros.outputs.results.rundir import Stopwatch
+    from persem_ros.settings.config import Config
+    from persem_ros.settings.legend import Legend
 
 TYPES = {'mono8': np.uint8, '8UC1': np.uint8, 'mono16': np.uint16, '16UC1': np.uint16,
          '16SC1': np.int16, '32SC1': np.int32}
@@ -24,11 +35,11 @@ class RefinedWriter:
 
     """
 
-    def __init__(self, path, legend, config, watch):
+    def __init__(self, path: Path, legend: Legend, config: Config, watch: Stopwatch) -> None:
         self._out = RecordingWriter(path, compress=True, force=True)
         self._legend, self._config, self._watch = legend, config, watch
 
-    def __enter__(self):
+    def __enter__(self) -> RefinedWriter:
         """Open the recording."""
         with ExitStack() as stack:
             stack.enter_context(self._out)
@@ -38,11 +49,11 @@ class RefinedWriter:
             stack.pop_all()     # open now, until __exit__
         return self
 
-    def __exit__(self, *error):
+    def __exit__(self, *error: Any) -> bool:
         """Put the recording under its name, or remove what there is of it."""
         return self._out.__exit__(*error)
 
-    def frame(self, frame, labels):
+    def frame(self, frame: Frame, labels: NDArray[np.int32]) -> None:
         """Write a frame's refined labels, int32 (H, W), in the encoding of its input."""
         with self._watch('write'):
             base = f'/mapper/{frame.sensor}' if frame.sensor else '/mapper'
@@ -55,13 +66,13 @@ class RefinedWriter:
             self._out.image(f'{base}/labels_color', frame.stamp, frame.frame_id,
                             self._legend.colors(image), 'rgb8')
 
-    def map(self, points, stamp):       # noqa: A003
+    def map(self, points: NDArray[np.void], stamp: int) -> None:       # noqa: A003
         """Write the map's points, latched."""
         with self._watch('write'):
             self._out.cloud('/mapper/map', stamp, self._config.frames.map, points, latched=True)
 
 
-def fitted(labels, encoding):
+def fitted(labels: NDArray[np.int32], encoding: str) -> NDArray[np.uint16]:
     """
     Return labels, int32, in the pixel type of an image encoding.
 

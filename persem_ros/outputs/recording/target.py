@@ -1,15 +1,21 @@
 """The folder that a new recording gets: free, or an earlier recording and nothing else."""
 
+from __future__ import annotations
+
 from pathlib import PurePosixPath
+from typing import TYPE_CHECKING
 
 from persem_ros.errors import PersemError
 from persem_ros.guard import yaml_text
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 METADATA = 'metadata.yaml'
 NAMED = 5       # files in a refusal
 
 
-def check_target(path, force=False):
+def check_target(path: Path, force: bool = False) -> None:
     """
     Refuse a path that a new recording cannot have.
 
@@ -52,7 +58,7 @@ def check_target(path, force=False):
                           'files), --force does not replace it; give another name')
 
 
-def _files_of_recording(path):
+def _files_of_recording(path: Path) -> set[str]:
     """Return the names of a recording's files, its metadata among them; none for another one."""
     try:
         with open(path / METADATA, encoding='utf-8') as file:

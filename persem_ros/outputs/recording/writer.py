@@ -1,17 +1,22 @@
 """Writing rosbag2 recordings (mcap or sqlite3) without ROS."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 import shutil
 import sqlite3
 import tempfile
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from persem_ros.errors import PersemError
 from persem_ros.outputs.recording.messages import MessageFactory
 from persem_ros.outputs.recording.target import check_target
 from rosbags.interfaces import (
-    Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime,
-)
+    Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime)
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
 
@@ -51,7 +56,8 @@ class RecordingWriter:
 
     """
 
-    def __init__(self, path, storage='mcap', compress=False, force=False):
+    def __init__(self, path: Path | str, storage: str = 'mcap', compress: bool = False,
+                 force: bool = False) -> None:
         if storage not in STORAGES:
             raise PersemError(f'storage {storage!r}: expected one of {", ".join(STORAGES)}')
         self.path = Path(path)
@@ -63,7 +69,7 @@ class RecordingWriter:
         self._work = self._writer = None
         check_target(self.path, force)
 
-    def __enter__(self):
+    def __enter__(self) -> RecordingWriter:
         target = self.path.absolute()
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
@@ -81,7 +87,9 @@ class RecordingWriter:
             raise self._refusal(error) from error
         return self
 
-    def __exit__(self, kind, value, traceback):
+    def __exit__(
+            self, kind: type[PersemError] | None, value: PersemError | None, traceback: Any
+    ) -> bool:
         if kind is not None:
             self._discard()
             return False
@@ -97,43 +105,52 @@ class RecordingWriter:
         shutil.rmtree(self._work, ignore_errors=True)
         return False
 
-    def image(self, topic, stamp, frame_id, array, encoding):
+    def image(
+            self, topic: str, stamp: int, frame_id: str, array: NDArray[Any], encoding: str
+    ) -> None:
         """Write a sensor_msgs/Image of an (H, W) or (H, W, 3) array."""
         message = self.make.image(stamp, frame_id, array, encoding)
         self.message(topic, stamp, 'sensor_msgs/msg/Image', message)
 
-    def compressed(self, topic, stamp, frame_id, image_format, data):
+    def compressed(
+            self, topic: str, stamp: int, frame_id: str, image_format: str, data: bytes) -> None:
         """Write a sensor_msgs/CompressedImage of encoded bytes."""
         message = self.make.compressed(stamp, frame_id, image_format, data)
         self.message(topic, stamp, 'sensor_msgs/msg/CompressedImage', message)
 
-    def camera_info(self, topic, stamp, frame_id, width, height, K, D=(), model='plumb_bob',
-                    P=None):
+    def camera_info(self, topic: str, stamp: int, frame_id: str, width: int, height: int,
+                    K: NDArray[np.float64], D: tuple[Any, ...] = (), model: str = 'plumb_bob',
+                    P: Any = None) -> None:
         """Write a sensor_msgs/CameraInfo; P is [K 0] where none is given."""
         message = self.make.camera_info(stamp, frame_id, width, height, K, D, model, P)
         self.message(topic, stamp, 'sensor_msgs/msg/CameraInfo', message)
 
-    def pose(self, topic, stamp, frame_id, T, kind='PoseStamped', child_frame=''):
+    def pose(self, topic: str, stamp: int, frame_id: str, T: NDArray[np.float64],
+             kind: str = 'PoseStamped', child_frame: str = '') -> None:
         """Write a pose, a 4x4 matrix from the posed frame to *frame_id*, as a message *kind*."""
         self.message(topic, stamp, *self.make.pose(stamp, frame_id, T, kind, child_frame))
 
-    def tf(self, stamp, parent, child, T, static=False):
+    def tf(
+            self, stamp: int, parent: str, child: str, T: NDArray[np.float64], static: bool = False
+    ) -> None:
         """Write a transform from *child* to *parent* to /tf, or latched to /tf_static."""
         transform = self.make.transform(stamp or 0, parent, child, T)
         self.message('/tf_static' if static else '/tf', stamp, 'tf2_msgs/msg/TFMessage',
                      self.make.make('tf2_msgs/msg/TFMessage', [transform]), latched=static)
 
-    def cloud(self, topic, stamp, frame_id, points, latched=False):
+    def cloud(self, topic: str, stamp: int, frame_id: str, points: NDArray[np.void],
+              latched: bool = False) -> None:
         """Write a sensor_msgs/PointCloud2 of a structured array."""
         message = self.make.cloud(stamp, frame_id, points)
         self.message(topic, stamp, 'sensor_msgs/msg/PointCloud2', message, latched)
 
-    def text(self, topic, text, latched=False, stamp=None):
+    def text(self, topic: str, text: str, latched: bool = False, stamp: Any = None) -> None:
         """Write a std_msgs/String."""
         message = self.make.make('std_msgs/msg/String', text)
         self.message(topic, stamp, 'std_msgs/msg/String', message, latched)
 
-    def message(self, topic, stamp, typename, message, latched=False):
+    def message(self, topic: str, stamp: int | None, typename: str, message: Any,
+                latched: bool = False) -> None:
         """
         Write any message of the type *typename* at log time *stamp*.
 
@@ -148,7 +165,7 @@ class RecordingWriter:
         self._start(stamp)
         self._write(connection, stamp, data)
 
-    def _connection(self, topic, typename, latched):
+    def _connection(self, topic: str, typename: str, latched: bool) -> Any:
         topic = topic if topic.startswith('/') else f'/{topic}'
         if (topic, typename) not in self._connections:
             depth = 100 if topic in ('/tf', '/tf_static') else 1 if latched else 10
@@ -157,26 +174,26 @@ class RecordingWriter:
                 offered_qos_profiles=[_qos(depth, latched)])
         return self._connections[topic, typename]
 
-    def _start(self, stamp):
+    def _start(self, stamp: int) -> None:
         """Write what waited for the first stamp."""
         waiting, self._waiting = self._waiting, []
         for connection, data in waiting:
             self._write(connection, stamp, data)
 
-    def _write(self, connection, stamp, data):
+    def _write(self, connection: Any, stamp: int, data: bytes) -> None:
         self._guarded(self._writer.write, connection, int(stamp), data)
 
-    def _guarded(self, function, *args, **kwargs):
+    def _guarded(self, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
         try:
             return function(*args, **kwargs)
         except FILE_ERRORS as error:
             raise self._refusal(error) from error
 
-    def _refusal(self, error):
+    def _refusal(self, error: Any) -> PersemError:
         reason = getattr(error, 'strerror', None) or error
         return PersemError(f'cannot write {self.path}: {reason}')
 
-    def _move(self):
+    def _move(self) -> None:
         """Put the finished folder in its place; the old one goes only when it is there."""
         target = self.path.absolute()
         check_target(target, self._force)
@@ -190,7 +207,7 @@ class RecordingWriter:
                 old.rename(target)
             raise
 
-    def _discard(self):
+    def _discard(self) -> None:
         if self._writer is not None:
             with suppress(Exception):       # the error that led here is the one to report
                 self._writer.abort()
@@ -198,7 +215,7 @@ class RecordingWriter:
             shutil.rmtree(self._work, ignore_errors=True)
 
 
-def _qos(depth, latched):
+def _qos(depth: int, latched: bool) -> Any:
     unset = QosTime(0, 0)
     durability = QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE
     return Qos(QosHistory.KEEP_LAST, depth, QosReliability.RELIABLE, durability, unset, unset,

@@ -1,9 +1,12 @@
 """How good and how steady labels are: streaming counts, results as in metrics.json (section 6)."""
 
+from __future__ import annotations
+
 import functools
+from typing import Any
 
 import numpy as np
-
+from numpy.typing import NDArray
 from persem_ros.core.jit import kernel
 from persem_ros.core.refine.regions import REGIONS
 from persem_ros.errors import PersemError
@@ -27,7 +30,7 @@ class Metrics:
 
     """
 
-    def __init__(self, methods, taxonomy=None):
+    def __init__(self, methods: list[str], taxonomy: dict[int, int] | None = None) -> None:
         self.methods = tuple(methods)
         self._tallies = {name: Tally() for name in (*self.methods, TRUTH)}
         self._table = _table(taxonomy)
@@ -35,7 +38,9 @@ class Metrics:
         self._before = {}           # sensor -> (shape, valid, {method: its last labels})
         self._has_truth = self._has_regions = False
 
-    def update(self, valid, predictions, truth=None, regions=None, sensor=''):
+    def update(self, valid: NDArray[np.bool_], predictions: dict[str, NDArray[np.int32]],
+               truth: NDArray[np.int32] | None = None, regions: NDArray[np.uint8] | None = None,
+               sensor: str = '') -> None:
         """
         Count one integrated frame.
 
@@ -88,11 +93,11 @@ class Metrics:
                         self._table)
         self._before[sensor] = shape, valid, new
 
-    def restart(self):
+    def restart(self) -> None:
         """Begin flicker anew: the next frame does not follow the last one."""
         self._before.clear()
 
-    def result(self):
+    def result(self) -> dict[str, Any]:
         """
         Return what was measured so far, as metrics.json has it.
 
@@ -111,11 +116,11 @@ class Metrics:
         return {**self._measured(EVERYWHERE, iou=True), 'regions': regions}
 
     @property
-    def has_truth(self):
+    def has_truth(self) -> bool:
         """Whether any frame so far had a truth, be it one of ignored ids alone."""
         return self._has_truth
 
-    def flicker_counts(self):
+    def flicker_counts(self) -> dict[str, tuple[int, int]]:
         """
         Return {method: (changed pixels, compared pixels)} so far, 'truth' among the methods.
 
@@ -125,7 +130,7 @@ class Metrics:
         return {name: (int(tally.changed.sum()), int(tally.pairs.sum()))
                 for name, tally in self._tallies.items()}
 
-    def confusion(self, method):
+    def confusion(self, method: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """
         Return a method's confusion matrix.
 
@@ -143,18 +148,21 @@ class Metrics:
         np.add.at(matrix, tuple(places.reshape(2, -1)), counts)
         return ids, matrix
 
-    def _measured(self, region, iou):
+    def _measured(self, region: str, iou: bool) -> dict[str, dict[str, dict[str, float]] | float]:
         """Return flicker and accuracy of every method within one region."""
         return {'truth_flicker': self._tallies[TRUTH].flicker(region),
                 'methods': {name: self._tallies[name].measured(region, self._has_truth, iou)
                             for name in self.methods}}
 
-    def _share(self, region):
+    def _share(self, region: str) -> float:
         """Return the percentage of all valid pixels that lie in the region."""
         return percent(self._pixels[codes_of(region)].sum(), self._pixels.sum())
 
 
-def valid_pixels(labels, depth, ignore_labels, min_depth, max_depth, truth=None):
+def valid_pixels(
+        labels: NDArray[Any], depth: NDArray[np.float64], ignore_labels: tuple[int, ...],
+        min_depth: float, max_depth: float, truth: NDArray[Any] | None = None
+) -> NDArray[np.bool_]:
     """
     Return the mask of the pixels that count in every method's metrics.
 
@@ -189,14 +197,14 @@ def valid_pixels(labels, depth, ignore_labels, min_depth, max_depth, truth=None)
 
 
 @functools.lru_cache(maxsize=16)
-def _ignoring(ignore_labels):
+def _ignoring(ignore_labels: tuple[int, ...]) -> NDArray[np.uint16]:
     """Return the look-up table id -> id, UNKNOWN for the ignored ones, (65536,) uint16."""
     table = np.arange(UNKNOWN + 1, dtype=np.uint16)
     table[[c for c in ignore_labels if 0 <= c <= UNKNOWN]] = UNKNOWN
     return table
 
 
-def _table(taxonomy):
+def _table(taxonomy: dict[int, int] | None) -> NDArray[np.uint16] | None:
     """Return the look-up table id -> counted id, UNKNOWN for none, (65536,) uint16."""
     if taxonomy is None:
         return _ignoring(())
@@ -209,7 +217,7 @@ def _table(taxonomy):
     return table
 
 
-def _flat(labels, shape, name):
+def _flat(labels: NDArray[np.int32], shape: tuple[int, int], name: str) -> NDArray[np.int32]:
     """Return a label image as (H * W,) int32, or refuse another size."""
     if np.shape(labels) != shape:
         raise PersemError(f'metrics: {name} has shape {np.shape(labels)}, expected {shape} as '

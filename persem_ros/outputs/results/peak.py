@@ -1,7 +1,10 @@
 """Peak memory of a stretch of work, not of the whole life of the process."""
 
+from __future__ import annotations
+
 from pathlib import Path
 import resource
+from typing import Any
 
 CLEAR, STATUS = Path('/proc/self/clear_refs'), Path('/proc/self/status')
 
@@ -14,7 +17,7 @@ class PeakMemory:
 
     """
 
-    def __enter__(self):
+    def __enter__(self) -> PeakMemory:
         """Reset the high-water mark."""
         try:
             CLEAR.write_text('5')
@@ -22,10 +25,10 @@ class PeakMemory:
             pass
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *_: Any) -> None:
         """Leave the mark as it is."""
 
-    def bytes(self):    # noqa: A003 - a unit, not the type
+    def bytes(self) -> int:    # noqa: A003 - a unit, not the type
         """Return the high-water mark of the resident set."""
         try:
             # Not ru_maxrss where it can be helped: a child inherits its parent's mark.

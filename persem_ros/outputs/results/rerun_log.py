@@ -1,10 +1,12 @@
 """A replay for the Rerun viewer: camera, images, labels and the growing map in one .rrd file."""
 
+from __future__ import annotations
+
 from contextlib import ExitStack
+from typing import Any
 
 import cv2
 import numpy as np
-
 from persem_ros.errors import PersemError
 from persem_ros.frames import UNKNOWN
 from persem_ros.outputs.files import replacing
@@ -31,7 +33,7 @@ class RerunLog:
 
     """
 
-    def __init__(self, path):
+    def __init__(self, path: str) -> None:
         self._rr = _rerun()
         self._path = path
         self._seen = np.zeros(0, np.bool_)      # by voxel number: met since the last piece
@@ -39,7 +41,7 @@ class RerunLog:
         self._frames = 0
         self._columns = None
 
-    def __enter__(self):
+    def __enter__(self) -> Any:
         """Open the file."""
         with ExitStack() as stack:
             work = stack.enter_context(replacing(self._path))
@@ -49,11 +51,11 @@ class RerunLog:
             self._close = stack.pop_all()
         return self
 
-    def __exit__(self, *error):
+    def __exit__(self, *error: Any) -> Any:
         """Put the file under its name, or remove what there is of it."""
         return self._close.__exit__(*error)
 
-    def frame(self, replay, frame, rendering):
+    def frame(self, replay: Any, frame: Any, rendering: Any) -> None:
         """Log a frame's camera and images, and now and then what was met of the map."""
         rr, out = self._rr, self._out
         if self._frames == 0:
@@ -77,7 +79,7 @@ class RerunLog:
         if self._frames % max(1, replay.recording.expected // MAP_STEPS) == 0:
             self._grow(replay, self._seen & ~self._logged)
 
-    def finish(self, replay, result):
+    def finish(self, replay: Any, result: Any) -> None:
         """Log the rest of the map; where it changed on the way (--causal), all of it anew."""
         memory = replay.pipeline.memory
         self._meet(np.zeros(0, np.int32), memory.n_voxels)
@@ -88,11 +90,11 @@ class RerunLog:
         self._grow(replay, ~self._logged)
         self._names(replay)
 
-    def _at(self, frame):
+    def _at(self, frame: Any) -> None:
         self._out.set_time('stamp', timestamp=np.datetime64(frame.stamp, 'ns'))
         self._out.set_time('frame', sequence=self._frames)
 
-    def _camera(self, replay, frame):
+    def _camera(self, replay: Any, frame: Any) -> None:
         """Log where the camera is and what it sees, in the voxels' frame."""
         rr, path = self._rr, _camera_path(frame)
         T = frame.T_map_camera
@@ -103,7 +105,7 @@ class RerunLog:
             height=frame.camera.height,
             image_plane_distance=20 * replay.pipeline.memory.voxel_size))
 
-    def _names(self, replay):
+    def _names(self, replay: Any) -> None:
         """Log the names and colours of the classes: those of the legend and those that occur."""
         rr, legend = self._rr, replay.legend
         ids = sorted({*legend.ids, *np.flatnonzero(replay.pipeline.memory.seen_ids).tolist()})
@@ -113,14 +115,14 @@ class RerunLog:
                       static=True)
         self._out.log('world', rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
 
-    def _meet(self, voxels, n):
+    def _meet(self, voxels: Any, n: Any) -> None:
         """Note which voxels, by number, a frame met; there are *n* by now."""
         room = np.zeros(n - len(self._seen), np.bool_)
         self._seen = np.concatenate([self._seen, room])
         self._logged = np.concatenate([self._logged, room])
         self._seen[voxels[voxels >= 0]] = True
 
-    def _grow(self, replay, new):
+    def _grow(self, replay: Any, new: Any) -> None:
         """Log the voxels for which *new*, by number, is true, as one more piece of the map."""
         memory = replay.pipeline.memory
         if self._columns is None or replay.causal:
@@ -133,7 +135,7 @@ class RerunLog:
                 colors=replay.legend.colors(label), radii=0.5 * memory.voxel_size))
         self._logged |= new
 
-    def _blueprint(self, frame):
+    def _blueprint(self, frame: Any) -> Any:
         """Return the arrangement of views: the map beside the first camera's images."""
         views, camera = self._rr.blueprint, '/' + _camera_path(frame)
         images = [views.Spatial2DView(origin=camera, name=name, contents=[f'{camera}/{name}'])
@@ -145,13 +147,13 @@ class RerunLog:
             views.Vertical(*images), column_shares=[3, 1]))
 
 
-def _camera_path(frame):
+def _camera_path(frame: Any) -> Any:
     """Return the entity of a frame's camera; Rerun escapes what it does not like."""
     name = ''.join(c if c.isalnum() else '_' for c in frame.sensor)
     return f'world/camera_{name}' if name else 'world/camera'
 
 
-def _rerun():
+def _rerun() -> Any:
     """Return the module rerun, or refuse with what to type."""
     try:
         import rerun

@@ -1,6 +1,9 @@
 """A run is a folder: what lies in it, built beside the old files and swapped when it is whole."""
 
+from __future__ import annotations
+
 from collections import defaultdict
+from collections.abc import Iterator
 from contextlib import contextmanager, ExitStack, suppress
 import fcntl
 from importlib import metadata
@@ -10,11 +13,15 @@ import platform
 import shutil
 import subprocess
 import time
+from typing import Any, TYPE_CHECKING
 
 from persem_ros import __version__
 from persem_ros.errors import PersemError
 from persem_ros.outputs.recording.target import check_target
 from persem_ros.outputs.results.peak import PeakMemory
+
+if TYPE_CHECKING:
+    from persem_ros.frames import Frame
 
 FILES = ('map.ply', 'map.persem', 'refined', 'metrics.json', 'config.yaml', 'timing.json',
          'report.html')
@@ -24,7 +31,7 @@ OLD, DONE = 'replaced', 'done'      # in it: the old files, while they are swapp
 
 
 @contextmanager
-def building(path, force=False, keep=()):
+def building(path: Any, force: Any = False, keep: Any = ()) -> Iterator[Any]:
     """
     Give a folder to build a run in; its files take their place in *path* when the block ends well.
 
@@ -84,7 +91,7 @@ def building(path, force=False, keep=()):
             raise PersemError(f'cannot write to {path}: {error.strerror or error}') from error
 
 
-def check_extra(path, option, force, keep=()):
+def check_extra(path: Any, option: Any, force: Any, keep: Any = ()) -> None:
     """
     Refuse a file that an option names besides the run's folder.
 
@@ -112,7 +119,7 @@ def check_extra(path, option, force, keep=()):
                           'replace it')
 
 
-def check_inputs(path, keep):
+def check_inputs(path: Any, keep: Any) -> None:
     """Refuse a folder that is an input, lies in one, or holds one among the files of a run."""
     target = path.resolve()
     for name in filter(None, map(str, keep)):
@@ -125,7 +132,7 @@ def check_inputs(path, keep):
                               'another folder with --out')
 
 
-def _check_names(path):
+def _check_names(path: Any) -> None:
     """Refuse a folder in which somebody else's folder has the name of a file of a run."""
     for name in FILES:
         entry = path / name
@@ -137,7 +144,7 @@ def _check_names(path):
 
 
 @contextmanager
-def locked(path):
+def locked(path: Any) -> Iterator[Any]:
     """Give a folder, held for this process; the system lets go of it however that ends."""
     handle = os.open(path, os.O_RDONLY)
     try:
@@ -153,7 +160,7 @@ def locked(path):
         os.close(handle)
 
 
-def _swap(path, work):
+def _swap(path: Any, work: Any) -> None:
     """Put new files in the place of old ones: two renames each, all undone if one fails."""
     _check_names(path)
     old = work / OLD
@@ -175,7 +182,7 @@ def _swap(path, work):
         raise
 
 
-def _recover(path):
+def _recover(path: Any) -> None:
     """Put back and remove what a run left that was killed."""
     for left in path.glob(f'{WORK}*.partial'):
         pid = left.name[len(WORK):].partition('.')[0]
@@ -189,19 +196,19 @@ def _recover(path):
         shutil.rmtree(left, ignore_errors=True)
 
 
-def _remove_empty(folders):
+def _remove_empty(folders: Any) -> None:
     """Remove folders that were made, deepest first, as far as nothing came into them."""
     for folder in folders:
         with suppress(OSError):
             folder.rmdir()
 
 
-def _first(folder, path):
+def _first(folder: Any, path: Any) -> Any:
     """Return the name in *folder* under which *path*, somewhere below it, lies."""
     return Path(path).resolve().relative_to(Path(folder).resolve()).parts[0]
 
 
-def _is_ours(name):
+def _is_ours(name: Any) -> Any:
     """Whether *name* is a file or folder that a run leaves."""
     return name in FILES
 
@@ -209,13 +216,13 @@ def _is_ours(name):
 class Stopwatch:
     """Seconds by stage, added up; stages may run on several threads, so they can overlap."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.seconds = defaultdict(float)
         self.calls = defaultdict(int)
         self._start = time.perf_counter()
 
     @contextmanager
-    def __call__(self, stage):
+    def __call__(self, stage: str) -> Iterator[Any]:
         """Time the block as a part of *stage*."""
         begin = time.perf_counter()
         try:
@@ -224,7 +231,7 @@ class Stopwatch:
             self.seconds[stage] += time.perf_counter() - begin
             self.calls[stage] += 1
 
-    def iterate(self, stage, items):
+    def iterate(self, stage: str, items: Iterator[Any]) -> Iterator[Frame]:
         """Yield *items*; the time to get each counts as *stage*."""
         items = iter(items)
         while True:
@@ -235,12 +242,12 @@ class Stopwatch:
                     return
             yield item
 
-    def total(self):
+    def total(self) -> float:
         """Return the seconds since this watch was made."""
         return time.perf_counter() - self._start
 
 
-def timing(watch, frames, sizes):
+def timing(watch: Stopwatch, frames: int, sizes: dict[str, int]) -> dict[str, Any]:
     """
     Return what timing.json holds.
 
@@ -264,7 +271,7 @@ def timing(watch, frames, sizes):
             'versions': versions(), 'hardware': hardware()}
 
 
-def versions():
+def versions() -> dict[str, str]:
     """Return {package: version} of what computes the results, with our commit where known."""
     result = {'persem_ros': __version__, 'commit': commit(), 'python': platform.python_version()}
     for name in ('numpy', 'numba', 'rosbags', 'opencv-python-headless'):
@@ -275,7 +282,7 @@ def versions():
     return result
 
 
-def commit():
+def commit() -> str | None:
     """Return the source tree's git commit, '+' added where it was changed; None outside git."""
     root = Path(__file__).resolve().parents[3]
     if not (root / '.git').exists():
@@ -290,7 +297,7 @@ def commit():
     return head + ('+' if status else '')
 
 
-def hardware():
+def hardware() -> dict[str, int | str]:
     """Return the processor's name and the number of cores that this process may use."""
     name = platform.machine()
     try:

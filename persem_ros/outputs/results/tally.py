@@ -1,6 +1,11 @@
 """Counting labels of one method: pixels by true and predicted id, region and change."""
 
+from __future__ import annotations
+
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.core.jit import kernel
 from persem_ros.core.refine.regions import REGIONS
 from persem_ros.frames import UNKNOWN
@@ -13,13 +18,13 @@ FREE = np.uint64(2 ** 64 - 1)       # a free place in a table of counts
 class Tally:
     """The counts of one method: pixels by (true, predicted) id and region, flicker pairs."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.keys = np.full(1024, FREE)     # true << 16 | predicted; at most half full
         self.counts = np.zeros((1024, CODES), np.int64)
         self.pairs, self.changed = np.zeros((2, CODES), np.int64)
         self.used = np.zeros(1, np.int64)
 
-    def count(self, *arrays):
+    def count(self, *arrays: Any) -> None:
         """Count one image; the table grows with the number of distinct pairs of ids."""
         done = 0
         while True:
@@ -31,19 +36,21 @@ class Tally:
             refill(self.keys, self.counts, keys, counts)
             self.keys, self.counts = keys, counts
 
-    def triples(self, region):
+    def triples(
+            self, region: str) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
         """Return true ids, predicted ids and numbers of pixels, (n,) int64 each, sorted."""
         order = np.argsort(self.keys)[:self.used[0]]
         counts = self.counts[order][:, codes_of(region)].sum(1)
         keys, counts = self.keys[order][counts > 0].astype(np.int64), counts[counts > 0]
         return keys >> 16, keys & UNKNOWN, counts
 
-    def flicker(self, region):
+    def flicker(self, region: str) -> float:
         """Return the percentage of changed pixels in consecutive frames, or None."""
         codes = codes_of(region)
         return percent(self.changed[codes].sum(), self.pairs[codes].sum())
 
-    def measured(self, region, has_truth, iou):
+    def measured(
+            self, region: str, has_truth: bool, iou: bool) -> dict[str, dict[str, float] | float]:
         """Return {pixel_accuracy, miou, flicker[, iou]} in percent, None where unknown."""
         result = {'pixel_accuracy': None, 'miou': None, 'flicker': self.flicker(region)}
         by_class = {}
@@ -57,7 +64,9 @@ class Tally:
         return result
 
 
-def iou_by_class(true, predicted, counts):
+def iou_by_class(
+        true: NDArray[np.int64], predicted: NDArray[np.int64], counts: NDArray[np.int64]
+) -> dict[int, float]:
     """
     Return {id: intersection over union in percent} of the ids that occur in the truth.
 
@@ -78,12 +87,12 @@ def iou_by_class(true, predicted, counts):
             for c in np.flatnonzero(in_truth)}
 
 
-def percent(part, whole):
+def percent(part: int, whole: int) -> float:
     """Return 100 part / whole, or None for a part of nothing."""
     return 100.0 * float(part) / float(whole) if whole else None
 
 
-def codes_of(region):
+def codes_of(region: str) -> NDArray[np.int64]:
     """Return the numbers 0 .. 7 whose bits put them into a region."""
     codes = np.arange(CODES)
     return codes if region == EVERYWHERE else codes[codes & REGIONS[region] != 0]
