@@ -68,6 +68,7 @@ class Replay:
     def __init__(self, recording: Recording, folder: Path, config: Config,
                  methods: tuple[str, ...], watchers: list[Any] = (), memory: Any = None) -> None:
         self.recording, self.folder, self.config = recording, folder, config
+        self.out = folder       # where the folder's files end up
         self.methods, self.watchers = tuple(methods), tuple(watchers)
         self.watch = rundir.Stopwatch()
         self.legend = chosen_legend(config, recording)
@@ -280,6 +281,7 @@ def replay(path: Path | str, out: Path | str, config: Config, methods: Sequence[
             compile_kernels()
             watchers = [*watchers, *([ReportWatcher()] if report else [])]
             job = Replay(recording, folder, config, methods, watchers, memory)
+            job.out = Path(out)
             return job.run_causal() if causal else job.run()
 
 

@@ -34,7 +34,8 @@ class Seen(NamedTuple):
 def likely_unit(low: float, high: float, settings: Memory) -> str:
     """Return what to type where depths *low* to *high* are too large to be metres, else ''."""
     for name, unit in UNITS.items():
-        if high > FAR and settings.min_depth <= unit * low and unit * high <= settings.max_depth:
+        # Below twice the range, depths may as well be metres of a longer one.
+        if high > 2 * settings.max_depth and settings.min_depth <= unit * low and unit * high <= settings.max_depth:
             return f'if they are {name}: --set depth.scale={unit:g}'
     return ''
 

@@ -61,7 +61,7 @@ def test_info(capsys, wall):
     assert 'extent from 100.25 0.25 0.25 to 100.25 4.75 0.25 m' in out
     assert '4 frames from 1970-01-01 00:00:00 UTC to 1970-01-01 00:00:03 UTC, 1 session' in out
     rows = [line.split() for line in out.splitlines() if line.strip().startswith('1  road')]
-    assert rows == [['1', 'road', '10', '100.0%', '9', '1', '0', '0']]
+    assert rows == [['1', 'road', '10', '100.0%', '9', '1', '0', '0', '0']]
     assert out.splitlines()[-1] == 'settings other than the defaults: map.origin=[100.0, 0.0, 0.0]'
 
 

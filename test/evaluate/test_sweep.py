@@ -33,7 +33,7 @@ def test_points_are_evaluations(tmp_path, recording):
     assert row['methods']['persem']['flicker'] == alone['methods']['persem']['flicker']
     assert row['voxels'] == alone['voxels']
     assert {p.name for p in (tmp_path / 'figures').iterdir()} == {
-        f'heat-{m}.{kind}' for m in ('majority', 'persem') for kind in ('svg', 'png')}
+        f'heat-{m}.{kind}' for m in ('majority', 'persem', 'geometry') for kind in ('svg', 'png')}
     assert json.loads((tmp_path / 'sweep.json').read_text())['points'] == result['points']
 
 

@@ -224,7 +224,7 @@ def test_the_command_does_the_same_again(full, bare, monkeypatch):
         calls = []
         monkeypatch.setattr('persem_ros.replay.replay',
                             lambda *given, **rest: calls.append(given) or case.result)
-        monkeypatch.setattr(replay_command, 'summary', lambda result, missing: '')
+        monkeypatch.setattr(replay_command, 'summary', lambda *given: '')
         assert main(words[1:]) == 0
         (bag,), out, config, methods, causal, *_ = calls[0]
         assert (Path(bag), Path(out)) == (case.bag, case.folder) and not causal

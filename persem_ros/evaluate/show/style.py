@@ -20,7 +20,8 @@ STYLES = {
     'majority': ('#0072b2', 'o'), 'unweighted': ('#0072b2', 's'), 'recency': ('#56b4e9', 'v'),
     'consensus': ('#56b4e9', '^'), 'probabilistic': ('#0072b2', 'D'),
     'trust': ('#cc79a7', 'v'), 'context': ('#cc79a7', 's'), 'history': ('#cc79a7', 'D'),
-    'context_history': ('#cc79a7', 'o'), 'persem': ('#009e73', '*')}
+    'context_history': ('#cc79a7', 'o'), 'persem': ('#009e73', '*'),
+    'geometry': ('#000000', '*')}
 LOOK = {
     'font.family': ['DejaVu Sans'], 'font.size': 9, 'axes.spines.top': False,
     'axes.spines.right': False, 'axes.titlesize': 10, 'axes.titleweight': 'bold',
