@@ -9,8 +9,9 @@ from persem_ros.core.memory.dump import dump, load
 from persem_ros.core.memory.evict import drop
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine import sweep
-from persem_ros.core.refine.job import abandon, at_rest, begin_next, finish, refine, swept
-from persem_ros.settings.config import METHODS, Refine
+from persem_ros.core.refine.job import (
+    abandon, at_rest, begin_next, finish, refine, SWEPT, swept)
+from persem_ros.settings.config import Refine
 import pytest
 
 
@@ -27,7 +28,7 @@ def at_once(request, monkeypatch):
 
 
 @pytest.mark.usefixtures('at_once')
-@given(worlds(most_frames=20), refinements(), st.sampled_from(METHODS), st.integers(1, 9),
+@given(worlds(most_frames=20), refinements(), st.sampled_from(sorted(SWEPT)), st.integers(1, 9),
        st.integers(1, 6))
 @examples(max_examples=60)
 def test_a_sweep_that_has_ended_equals_a_full_run(frames, settings, method, slice_, every):

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from core_worlds import examples, observations
+from core_worlds import core_of, examples, observations
 import geometry_reference as plain
 from hypothesis import given, strategies as st
 import numpy as np
@@ -290,3 +290,19 @@ def test_an_account_of_a_voxel_is_the_references(form, monkeypatch):
         assert sum(found['votes'].values()) == pytest.approx(1.0)
         for part in ('shape', 'cell', 'shifted_cell', 'frequencies'):
             assert sum(found[part].values()) == pytest.approx(1.0), part
+
+
+@pytest.mark.parametrize('first, then', [((1, 2), (2, 3)), ((2, 5), (1, 2))])
+def test_classes_that_come_later_are_numbered_anew(first, then):
+    frames = [(10 * k, {(i, j, 0): (ids[(i + j + k) % 2], 0.75) for i in range(5)
+                        for j in range(5)}) for k, ids in enumerate([first] * 3 + [then] * 3)]
+    grown = core_of(frames[:3])
+    refine(grown, GEOMETRY)
+    for frame in frames[3:]:
+        grown.add(observations(*frame))
+        refine(grown, GEOMETRY, full=False)
+    assert grown.geometry.classes.tolist() == sorted({*first, *then})
+    refine(grown, GEOMETRY)
+    whole = core_of(frames)
+    wanted = label(whole, 'geometry', GEOMETRY)[0]
+    assert (grown.m.voxels['label'][:grown.n_numbers] == wanted).all()

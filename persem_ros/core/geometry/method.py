@@ -76,6 +76,8 @@ def relabel(memory: Any, taken: Any, settings: Any,
     if not len(taken.number):
         return Labelled(*(np.zeros(0, t) for t in ('u2', 'u1', 'f4')), parameters)
     votes = take_votes(memory, taken, constants.directions)
+    if parameters is not None and not np.array_equal(parameters.classes, votes.classes):
+        parameters = None       # a class came or went: what was fitted numbers them otherwise
     places = places_of(memory, taken, settings)
     cells = cells_of(places, constants.cell) if parameters is None else parameters.cells
     model = model_of(memory.m.blocks, taken, votes, groups_in(places, cells, constants.cell),
