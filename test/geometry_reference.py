@@ -272,6 +272,7 @@ def geometry(histories, voxel_size, origin=(0.0, 0.0, 0.0), up='z', max_history=
     max_history : int
         Newest observations that count; 0: all.
     constants : Constants
+        Those of refine.geometry; None: the defaults.
     dense : int
         The largest K of the dense form.
 

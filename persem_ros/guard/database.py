@@ -70,6 +70,7 @@ def check_tables(db: sqlite3.Connection, tables: Mapping[str, Sequence[str]]) ->
     Parameters
     ----------
     db : sqlite3.Connection
+        An open database.
     tables : mapping of str to sequence of str
         Their names and columns, in order.
 

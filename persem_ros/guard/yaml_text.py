@@ -92,9 +92,11 @@ def load(text: str, source: str, bounds: Bounds) -> Any:
     Parameters
     ----------
     text : str
+        The YAML.
     source : str
         Stands for the text in refusals.
     bounds : Bounds
+        Beyond which it is refused.
 
     Raises
     ------

@@ -35,7 +35,8 @@ def likely_unit(low: float, high: float, settings: Memory) -> str:
     """Return what to type where depths *low* to *high* are too large to be metres, else ''."""
     for name, unit in UNITS.items():
         # Below twice the range, depths may as well be metres of a longer one.
-        if high > 2 * settings.max_depth and settings.min_depth <= unit * low and unit * high <= settings.max_depth:
+        if high > 2 * settings.max_depth and settings.min_depth <= unit * low \
+                and unit * high <= settings.max_depth:
             return f'if they are {name}: --set depth.scale={unit:g}'
     return ''
 

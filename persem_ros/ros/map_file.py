@@ -93,6 +93,7 @@ class MapFile:
         Parameters
         ----------
         config : Config
+            The settings in force.
         copy : callable
             copy() gives `copied` of the memory, at one moment.
 

@@ -21,11 +21,13 @@ def account(memory: Any, taken: Any, number: int, settings: Any,
     Parameters
     ----------
     memory : core.memory.voxel_memory.VoxelMemory
+        The map.
     taken : core.refine.snapshot.Snapshot
         The whole map.
     number : int
         The voxel's number.
     settings : persem_ros.settings.config.Refine
+        up and geometry.
     parameters : Parameters or SparseParameters, optional
         What to go by; None: fitted to the map.
 

@@ -97,6 +97,7 @@ class Dense:
         Parameters
         ----------
         parameters : Parameters
+            What to go by.
         wanted : list of ndarray, int64
             The rows of each round; the first holds all of them, the last those to be labelled.
         best, confidence : ndarray, shape (n,)

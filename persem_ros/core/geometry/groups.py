@@ -80,6 +80,7 @@ def groups_of(index: NDArray[np.int32], tile: NDArray[np.int64], shape: NDArray[
     shape : ndarray, shape (n,), uint8
         core.geometry.shape.shapes_of.
     ground : Ground
+        Its height in every column.
     cells : pair of Cells
         Of the offsets 0 and cell // 2; they need not know every cell.
     cell : int

@@ -24,6 +24,7 @@ def label_rows(model: Any, parameters: Any, buffer: int = BUFFER,
     model : core.geometry.dense.Dense or core.geometry.sparse.Sparse
         Its snapshot holds the refined rows first, and two rings of neighbours around them.
     parameters : Parameters or SparseParameters
+        What to go by.
     buffer : int
         Bytes that posteriors may take at a time.
 

@@ -53,6 +53,7 @@ class LabelReader:
         Parameters
         ----------
         msg : sensor_msgs/Image or CompressedImage
+            Of rclpy or of rosbags.
         legend : Legend, optional
             Whose colours the image may have.
 

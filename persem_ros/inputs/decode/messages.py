@@ -117,6 +117,7 @@ def label_planes(msg: Any, lossy: bool = False) -> tuple[NDArray, str]:
     Parameters
     ----------
     msg : sensor_msgs/Image or CompressedImage
+        Of rclpy or of rosbags.
     lossy : bool
         Whether JPEG will do, as it may for colours.
 

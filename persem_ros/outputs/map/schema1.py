@@ -51,6 +51,7 @@ def added(columns: dict[str, NDArray], history_start: NDArray[np.int64],
     history_start : ndarray, shape (n + 1,), int64
         Where each voxel's history begins.
     table : FrameTable
+        The frames of the file.
 
     Raises
     ------
