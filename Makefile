@@ -5,6 +5,7 @@
 # make test-matrix   the tests with NumPy 1.26 + OpenCV 4 and with NumPy 2 + OpenCV 5
 # make ros-test      test/ros against the ROS 2 in /opt/ros/jazzy
 # make bench-live  the node under load, through real DDS
+# make fuzz         files that mean harm, for MINUTES=30; prints its seed (SEED=n repeats it)
 # make clean         away with everything that these made
 # PYTHON=python3.12, VENV=folder and ARGS="-k memory" change interpreter, folder and arguments.
 
@@ -14,7 +15,7 @@ RUN := $(VENV)/bin/python
 PEP257 := --ignore=D100,D101,D102,D103,D104,D105,D106,D107,D203,D212,D404 --match='.*\.py'
 
 .DELETE_ON_ERROR:
-.PHONY: test demo bench lint test-matrix ros-test bench-live clean
+.PHONY: test demo bench lint test-matrix ros-test bench-live fuzz clean
 # A sourced ROS would put its own pytest plugins and messages into our environment.
 unexport PYTHONPATH
 
@@ -41,6 +42,11 @@ ros-test:
 
 bench-live:
 	.ci/bench-live $(ARGS)
+
+MINUTES ?= 30
+
+fuzz: $(VENV)/installed-test
+	$(RUN) test/fuzz/fuzz.py --minutes $(MINUTES) $(if $(SEED),--seed $(SEED)) $(ARGS)
 
 clean:
 	rm -rf .venv .venv-* build install log demo *.egg-info .pytest_cache .hypothesis
