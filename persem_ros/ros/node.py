@@ -5,6 +5,7 @@ import logging
 import threading
 
 from persem_ros.errors import PersemError
+from persem_ros.guard import limits
 from persem_ros.inputs.decode import legends
 from persem_ros.inputs.decode.serialized import Decoder
 from persem_ros.inputs.live import LiveIntake
@@ -52,6 +53,7 @@ class Mapper(Node):
         self._handler = _forward(self.get_logger())
         self.parameters = Parameters(self)
         config = self.parameters.config
+        limits.use(config.inputs.max_pixels)
         check_topics(config)
         self.legend = load_legend(config.labels.legend) if config.labels.legend else Legend()
         self._colors = None
@@ -106,6 +108,7 @@ class Mapper(Node):
 
     def _configure(self, config):
         """Have the worker go on with changed settings."""
+        limits.use(config.inputs.max_pixels)
         self.worker.call(self.worker.configure, config)
 
     def _look(self):
