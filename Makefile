@@ -1,7 +1,7 @@
 # make test          all tests that need no ROS; makes .venv first (python3 >= 3.10, python3-venv)
 # make demo          a simulated flight, its replay, its report: demo/
 # make bench         the timing tables of README.md
-# make lint          flake8 and pydocstyle with the rules of ament_flake8 and ament_pep257
+# make lint          flake8 and pydocstyle with the rules of ament_flake8 and ament_pep257; mypy
 # make test-matrix   the tests with NumPy 1.26 + OpenCV 4 and with NumPy 2 + OpenCV 5
 # make ros-test      test/ros against the ROS 2 in /opt/ros/jazzy
 # make bench-live  the node under load, through real DDS
@@ -32,6 +32,7 @@ bench: $(VENV)/installed-bench
 
 lint: $(VENV)/installed-lint
 	$(RUN) -m flake8
+	$(RUN) -m mypy
 	$(RUN) -m pydocstyle $(PEP257) setup.py persem_ros test $(wildcard benchmarks examples launch)
 
 test-matrix:
