@@ -34,8 +34,9 @@ setup(
         'embreex>=2.17.7; sys_platform != "linux" or platform_machine == "x86_64"',
     ],
     extras_require={
-        'test': ['distributed>=2024.1', 'hypothesis>=6.100', 'matplotlib>=3.7', 'pytest>=8',
-                 'scikit-learn>=1.4', 'setuptools>=70.1'],
+        # laspy and lazrs are small; what needs more of gis is skipped without it.
+        'test': ['distributed>=2024.1', 'hypothesis>=6.100', 'laspy>=2.5', 'lazrs>=0.6',
+                 'matplotlib>=3.7', 'pytest>=8', 'scikit-learn>=1.4', 'setuptools>=70.1'],
         'lint': ['flake8>=7', 'flake8-blind-except', 'flake8-builtins', 'flake8-class-newline',
                  'flake8-comprehensions', 'flake8-deprecated', 'flake8-docstrings',
                  'flake8-import-order', 'flake8-quotes', 'mypy', 'pydocstyle',
@@ -43,6 +44,7 @@ setup(
         'bench': ['octomap-python>=1.8', 'open3d>=0.18', 'psutil>=5.9'],
         'cluster': ['distributed>=2024.1'],
         'evaluate': ['matplotlib>=3.7'],
+        'gis': ['laspy>=2.5', 'lazrs>=0.6', 'pyarrow>=15', 'pyproj>=3.6', 'rasterio>=1.3'],
         'viewer': ['rerun-sdk>=0.23'],
     },
     data_files=[

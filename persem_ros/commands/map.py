@@ -1,9 +1,10 @@
-"""persem map: what is in a map file, its points, and why a voxel has its label."""
+"""persem map: what is in a map file, why a voxel has its label, and files for others."""
 
 from __future__ import annotations
 
 from typing import Any, TYPE_CHECKING
 
+from persem_ros.commands import map_export, map_georeference
 from persem_ros.errors import PersemError
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 def add_parser(subparsers: _SubParsersAction[Any]) -> None:
     """Add the sub-command and its own sub-commands."""
     parser = subparsers.add_parser(
-        'map', help='look into a map file: info, export, query',
+        'map', help='look into a map file, hand it on: info, query, export, georeference',
         description='Looks into a map file (.persem) as a replay or ~/save_map leaves it.')
     actions = parser.add_subparsers(metavar='ACTION', required=True)
 
@@ -27,19 +28,8 @@ def add_parser(subparsers: _SubParsersAction[Any]) -> None:
     info_parser.add_argument('file', metavar='FILE', help='a map file (.persem)')
     info_parser.set_defaults(run=info)
 
-    export_parser = actions.add_parser(
-        'export', help='write the voxels as points of a PLY file',
-        description='Writes one point per voxel, as map.ply of a replay has them.')
-    export_parser.add_argument('file', metavar='FILE', help='a map file (.persem)')
-    export_parser.add_argument('--ply', metavar='OUT', required=True, help='the PLY file')
-    export_parser.add_argument(
-        '--crop', type=float, nargs=6, metavar=('X0', 'Y0', 'Z0', 'X1', 'Y1', 'Z1'),
-        help='only voxels whose centres lie in this box, metres in the map frame')
-    export_parser.add_argument(
-        '--min-observations', type=int, default=1, metavar='N',
-        help='only voxels that were observed N times or more often')
-    export_parser.add_argument('--force', action='store_true', help='replace OUT where it exists')
-    export_parser.set_defaults(run=export)
+    map_export.add_parser(actions)
+    map_georeference.add_parser(actions)
 
     query_parser = actions.add_parser(
         'query', help='the history of one voxel, its evidence, its label and why',
@@ -77,43 +67,6 @@ def info(args: Namespace) -> None:
     others = [f'{name}={value if isinstance(value, str) else scalar(value)}'
               for name, value, _ in settings(stored.config()) if default.get(name) != value]
     print('\nsettings other than the defaults: ' + (', '.join(others) or 'none'))
-
-
-def export(args: Namespace) -> None:
-    """Write the chosen voxels as a PLY file; print how many."""
-    from pathlib import Path
-
-    import numpy as np
-    from persem_ros.outputs.map.cloud import map_points
-    from persem_ros.outputs.map.ply import map_comments, write_ply
-    from persem_ros.outputs.map.store import load
-    if Path(args.ply).resolve() == Path(args.file).resolve():
-        raise PersemError(f'{args.ply} is the map itself; give another name with --ply')
-    if Path(args.ply).is_file() and not args.force:
-        raise PersemError(f'{args.ply} exists; give another name with --ply, or --force to '
-                          'replace it')
-    stored = load(args.file)
-    memory = stored.memory()
-    columns = memory.voxels()
-    keep = columns['observations'] >= args.min_observations
-    if args.crop:
-        low, high = np.array(args.crop[:3]), np.array(args.crop[3:])
-        if not (low < high).all():
-            raise PersemError(f'--crop: expected X0 < X1, Y0 < Y1 and Z0 < Z1, got '
-                              f'{_point(low)} and {_point(high)}')
-        centres = (columns['voxel'] + 0.5) * memory.voxel_size + np.array(memory.origin)
-        keep &= ((centres >= low) & (centres <= high)).all(axis=1)
-    if not keep.any():
-        extent = 'is empty'
-        if memory.n_voxels:
-            extent = (f'reaches from {_point(stored.bounds()[0])} to '
-                      f'{_point(stored.bounds()[1])} m, with up to '
-                      f'{columns["observations"].max()} observations a voxel')
-        raise PersemError(f'{args.file}: no voxel is left to export; the map {extent}')
-    points = map_points({name: column[keep] for name, column in columns.items()},
-                        memory.voxel_size, stored.legend)
-    write_ply(args.ply, points, map_comments(stored.map_frame, memory.origin, memory.voxel_size))
-    print(f'{len(points)} of {memory.n_voxels} voxels written to {args.ply}')
 
 
 def query(args: Namespace) -> None:

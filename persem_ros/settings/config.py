@@ -291,6 +291,38 @@ class Map:
         (0.0, 0.0, 0.0),
         'point of the map frame that is subtracted from all positions (UTM coordinates)', 'm',
         live=False)
+    crs: str = setting(
+        '', 'coordinate reference system of exported files, EPSG:25832; empty: none; persem map '
+        'georeference enters it into a map file')
+    georeference: tuple[Any, ...] = setting(
+        (0.0, 0.0, 0.0, 0.0),
+        'where the map frame lies in map.crs: east, north and up of its origin (m), and its turn '
+        'counter-clockwise (degrees)')
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The map as a cost map for vehicles on the ground."""
+
+    resolution: float = setting(
+        0.0, 'edge of a cell of the grid; 0: that of a voxel, finer is not possible', 'm', 0.0,
+        1e3)
+    step: float = setting(
+        0.3, 'what is higher above the ground than this, and lower than grid.height, is an '
+        'obstacle whatever its class', 'm', 0.0, 1e3)
+    height: float = setting(2.0, 'what is higher above the ground than this is no obstacle', 'm',
+                            0.0, 1e4)
+    window: int = setting(20, 'columns around one whose lowest voxels make its ground', 'voxels',
+                          0, 1000)
+    min_observations: int = setting(2, 'voxels with fewer are left out of the grid',
+                                    'observations', 1, 1 << 20)
+    tie: str = setting(
+        'highest', 'the cost of a cell whose columns of voxels differ in theirs',
+        choices=('highest', 'lowest', 'unknown'))
+    labels: str = setting('top', 'class of a cell in the grid of classes: that of the top-most '
+                          'voxel or of the ground', choices=('top', 'ground'))
+    rate: float = setting(1.0, 'how often ~/grid is published where it changed (node); 0: never',
+                          'Hz', 0.0, 50.0)
 
 
 @dataclass(frozen=True)
@@ -349,6 +381,7 @@ class Config:
     points: Points = Points()
     qos: Qos = Qos()
     map: Map = Map()    # noqa: A003
+    grid: Grid = Grid()
     inputs: Inputs = Inputs()
     ema: Ema = Ema()
     labels: Labels = Labels()
@@ -444,7 +477,8 @@ def _checked(name: str, value: Any, default: Any, meta: Any) -> Any:
         except TypeError:
             raise PersemError(f'{name}: expected a list of {MANY[inner]}, for example '
                               f'{list(default)}, got {short(value)}') from None
-        if name in ('map.origin', 'pose.extrinsic') and len(result) != len(default):
+        if name in ('map.origin', 'map.georeference', 'pose.extrinsic') and \
+                len(result) != len(default):
             raise PersemError(f'{name}: expected {len(default)} numbers, got {len(result)}')
         return result or default[:0]
     if kind is float and type(value) is int:

@@ -25,7 +25,8 @@ import yaml
 
 LOG = logging.getLogger(__name__)
 GREY = 96, 96, 96       # of ids that the settings ignore
-FIELDS = ('id', 'name', 'color', 'group', 'ignored', 'dynamic')
+FIELDS = ('id', 'name', 'color', 'group', 'ignored', 'dynamic', 'cost', 'las')
+NUMBERS = {'cost': 100, 'las': 255}     # the largest; the least is 0
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,11 @@ class LegendClass:
         Not a class but the absence of one: neither mapped nor counted.
     dynamic : bool
         A thing that moves by itself: vehicles, people.
+    cost : int or None
+        What crossing it costs a vehicle on the ground, 0 (free) .. 100 (lethal); None: not said.
+    las : int or None
+        Its code in LAS files, 0 .. 255 (ASPRS: 2 ground, 5 high vegetation, 6 building, 9 water,
+        11 road, 64 and above free to use); None: not said.
 
     """
 
@@ -56,6 +62,8 @@ class LegendClass:
     group: str = ''
     ignored: bool = False
     dynamic: bool = False
+    cost: int | None = None
+    las: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +102,7 @@ class Legend:
         rows = content.get('classes') if isinstance(content, dict) else None
         if not isinstance(rows, list) or not rows:
             raise PersemError(f"{source}: expected a mapping with a list 'classes' of "
-                              '{id, name, color, group, ignored, dynamic}')
+                              '{id, name, color, group, ignored, dynamic, cost, las}')
         classes = tuple(_class(row, f'{source}: classes[{i}]') for i, row in enumerate(rows))
         seen: dict[Any, Any] = {}
         for item in classes:
@@ -115,6 +123,8 @@ class Legend:
         for item in self.classes:
             flags = ''.join(f', {flag}: true' for flag in ('ignored', 'dynamic')
                             if getattr(item, flag))
+            flags += ''.join(f', {key}: {getattr(item, key)}' for key in NUMBERS
+                             if getattr(item, key) is not None)
             lines.append(f'- {{id: {item.id}, name: {_scalar(item.name)}, '
                          f'color: {list(item.color)}, group: {_scalar(item.group)}{flags}}}')
         return '\n'.join(lines) + '\n' if self.classes else ''
@@ -140,6 +150,11 @@ class Legend:
         if item is None and int(label) in self.unlabelled:
             return 'ignored'
         return item.name if item else f'class {int(label)}'
+
+    def numbers(self, key: str) -> dict[int, int]:
+        """Return {id: value} of the classes that have the key 'cost' or 'las'."""
+        return {item.id: getattr(item, key) for item in self.classes
+                if getattr(item, key) is not None}
 
     def groups(self) -> dict[str, tuple[int, ...]]:
         """Return {group: tuple of ids}, ignored ids left out, in the order of the legend."""
@@ -280,10 +295,15 @@ def _class(row: dict[str, Any], where: str) -> LegendClass:
     for flag, value in flags.items():
         if type(value) is not bool:
             raise PersemError(f'{where}: {flag}: expected true or false, got {short(value)}')
+    numbers = {key: row.get(key) for key in NUMBERS}
+    for key, value in numbers.items():
+        if value is not None and (type(value) is not int or not 0 <= value <= NUMBERS[key]):
+            raise PersemError(f'{where}: {key}: expected a whole number 0 .. {NUMBERS[key]}, got '
+                              f'{short(value)}')
     if number > MAX_ID and not flags['ignored']:
         raise PersemError(f'{where}: id {number} means "no label": expected ignored: true')
     return LegendClass(number, name, _color(row.get('color'), number, where),
-                       str(row.get('group') or name), **flags)
+                       str(row.get('group') or name), **flags, **numbers)
 
 
 def _color(value: list[int] | str | None, number: int, where: str) -> tuple[int, int, int]:

@@ -40,6 +40,20 @@ def test_uavscenes_groups_and_flags():
     assert legend.ignored == (0, 7, 8, 12, 21, 22, 23, 25, 255)
 
 
+def test_costs_and_codes():
+    legend = Legend.from_yaml('classes:\n- {id: 1, name: a, cost: 0, las: 11}\n- {id: 2, name: b}')
+    assert (legend.numbers('cost'), legend.numbers('las')) == ({1: 0}, {1: 11})
+    assert Legend.from_yaml(legend.to_yaml()) == legend
+    assert set(load_legend('town').numbers('cost')) == set(range(1, 11))
+
+
+@pytest.mark.parametrize(('key', 'value'), [
+    ('cost', -1), ('cost', 101), ('cost', 0.5), ('cost', 'true'), ('las', 256), ('las', 'road')])
+def test_costs_and_codes_out_of_range(key, value):
+    with pytest.raises(PersemError, match=f'{key}: expected a whole number 0 .. (100|255), got'):
+        Legend.from_yaml(f'classes:\n- {{id: 1, name: a, {key}: {value}}}')
+
+
 def test_queries():
     legend = Legend.from_yaml(SMALL)
     assert legend.name(4) == 'path' and legend.name(77) == 'class 77'

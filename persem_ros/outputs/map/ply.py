@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.outputs.files import write_bytes
+from persem_ros.outputs.files import replacing
 from persem_ros.outputs.map.cloud import colors_of, COPIED
 
 if TYPE_CHECKING:
@@ -41,16 +41,31 @@ def write_ply(path: Path | str, points: NDArray[np.void], comments: Sequence[Any
         When the file cannot be written.
 
     """
+    write_ply_parts(path, len(points), [points], comments)
+
+
+def write_ply_parts(path: Path | str, n: int, parts: Iterable[NDArray[np.void]],
+                    comments: Sequence[Any] = ()) -> None:
+    """Write n map points that come in parts, as write_ply does with all of them."""
+    lines = ['ply', 'format binary_little_endian 1.0',
+             *(f'comment {" ".join(text.split())}' for text in comments),
+             f'element vertex {n}',
+             *(f'property {kind} {name}' for name, kind, _ in PROPERTIES), 'end_header', '']
+    with replacing(path) as work:
+        with open(work, 'wb') as out:
+            out.write('\n'.join(lines).encode('ascii', 'replace'))
+            for points in parts:
+                out.write(memoryview(_vertices(points)).cast('B'))
+
+
+def _vertices(points: NDArray[np.void]) -> NDArray[np.void]:
+    """Return map points as they lie in the file."""
     vertices = np.empty(len(points), VERTEX)
     for name in ('x', 'y', 'z', *COPIED):
         vertices[name] = points[name]
     vertices['observations'] = np.minimum(points['observations'], np.iinfo(np.int32).max)
     vertices['red'], vertices['green'], vertices['blue'] = colors_of(points).T
-    lines = ['ply', 'format binary_little_endian 1.0',
-             *(f'comment {" ".join(text.split())}' for text in comments),
-             f'element vertex {len(vertices)}',
-             *(f'property {kind} {name}' for name, kind, _ in PROPERTIES), 'end_header', '']
-    write_bytes(path, '\n'.join(lines).encode('ascii', 'replace'), memoryview(vertices).cast('B'))
+    return vertices
 
 
 def map_comments(

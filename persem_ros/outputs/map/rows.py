@@ -161,24 +161,10 @@ def from_rows(rows: dict[str, Any]) -> tuple[dict[str, Any], MemoryDump] | None:
         For rows that are damaged.
 
     """
-    about, frames, classes, blocks = dict(rows['about']), rows['frames'], rows['classes'], \
-        rows['blocks']
+    about = about_of(rows)
+    frames, classes, blocks = rows['frames'], rows['classes'], rows['blocks']
     first = 'sessions' not in rows      # of schema 1
-    covered = [*sorted((name, value) for name, value in about.items() if name != 'crc'), *frames,
-               *classes] if first else about_rows(about, rows)
-    if about.pop('crc') != crc_of(covered):
-        raise ValueError('checksum of the small tables')
-    if not first and about.pop('frames_crc') != crc_of(frames):
-        raise ValueError('checksum of the frame table')
-    check_about(about)
-    for row in blocks:
-        if row[4] != crc_of([(*row[:4], *row[5:])]):
-            raise ValueError(f'checksum of block {row[:3]}')
-    columns = {name: np.frombuffer(bytearray().join(row[5 + k] for row in blocks), kind)
-               for k, (name, kind) in enumerate(schema1.COLUMNS if first else COLUMNS)}
-    for name, axes in AXES.items():
-        if name in columns:
-            columns[name] = columns[name].reshape(-1, axes)
+    columns = columns_of(blocks, first)
     start = {name: _starts(columns.pop(f'{name}_count')) for name in ('evidence', 'history')}
     counts = {name: np.zeros(MAX_ID + 2, kind) for name, kind in (
         ('starts', np.int64), ('changes', np.int64), ('seen', np.uint8), ('rho', np.float64))}
@@ -201,6 +187,32 @@ def from_rows(rows: dict[str, Any]) -> tuple[dict[str, Any], MemoryDump] | None:
         frames=table)
     check_dump(saved, about)
     return about, saved
+
+
+def about_of(rows: dict[str, Any]) -> dict[str, Any]:
+    """Return {name: value} of the table about; ValueError where a small table is damaged."""
+    about, first = dict(rows['about']), 'sessions' not in rows
+    covered = [*sorted((name, value) for name, value in about.items() if name != 'crc'),
+               *rows['frames'], *rows['classes']] if first else about_rows(about, rows)
+    if about.pop('crc') != crc_of(covered):
+        raise ValueError('checksum of the small tables')
+    if not first and about.pop('frames_crc') != crc_of(rows['frames']):
+        raise ValueError('checksum of the frame table')
+    check_about(about)
+    return about
+
+
+def columns_of(blocks: list[Any], first: bool) -> dict[str, NDArray[Any]]:
+    """Return the columns of blocks (of schema 1: *first*); ValueError for a damaged one."""
+    for row in blocks:
+        if row[4] != crc_of([(*row[:4], *row[5:])]):
+            raise ValueError(f'checksum of block {row[:3]}')
+    columns = {name: np.frombuffer(bytearray().join(row[5 + k] for row in blocks), kind)
+               for k, (name, kind) in enumerate(schema1.COLUMNS if first else COLUMNS)}
+    for name, axes in AXES.items():
+        if name in columns:
+            columns[name] = columns[name].reshape(-1, axes)
+    return columns
 
 
 def _frame_table(frames: Any, sessions: Any, mounts: Any) -> Any:

@@ -10,7 +10,7 @@ Any SQLite program reads the file; docs/map_file.md describes the columns.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 import logging
 from pathlib import Path
@@ -179,23 +179,38 @@ def load(path: Path | str) -> StoredMap | None:
 
     """
     path = Path(path)
+    with reading(path) as (db, first):
+        names, kinds = (schema1.NAMES, schema1.KINDS) if first else (NAMES, KINDS)
+        size = path.stat().st_size
+        rows = {table: list(checked(
+            db.execute(f'SELECT * FROM {table} ORDER BY {ORDER[table]}'), kinds[table], size))
+            for table in ORDER if table in names}
+        about, saved = from_rows(rows)
+    legend = Legend.from_yaml(about['legend'], str(path)) if about['legend'] else Legend()
+    return StoredMap(path, saved, about['map_frame'], about['settings'], legend)
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[tuple[sqlite3.Connection, bool]]:
+    """
+    Open a map file to be read piece by piece; give it, and whether it is of schema 1.
+
+    Raises
+    ------
+    PersemError
+        As load() does, also for what is found to be damaged inside of the block.
+
+    """
     _check_magic(path)
     try:
         with closing(opened(path)) as db:
             first = _schema(db, path) == 1
-            names, kinds = (schema1.NAMES, schema1.KINDS) if first else (NAMES, KINDS)
-            check_tables(db, names)
-            size = path.stat().st_size
-            rows = {table: list(checked(
-                db.execute(f'SELECT * FROM {table} ORDER BY {ORDER[table]}'), kinds[table], size))
-                for table in ORDER if table in names}
-        about, saved = from_rows(rows)
+            check_tables(db, schema1.NAMES if first else NAMES)
+            yield db, first
     except (sqlite3.Error, sqlite3.Warning, KeyError, TypeError, ValueError, IndexError,
             OverflowError, struct.error) as error:
         raise PersemError(f'{path}: damaged ({_why(error)}); expected a whole map file, restore '
                           'it from a copy') from error
-    legend = Legend.from_yaml(about['legend'], str(path)) if about['legend'] else Legend()
-    return StoredMap(path, saved, about['map_frame'], about['settings'], legend)
 
 
 def _check_magic(path: Path) -> None:

@@ -1,0 +1,185 @@
+"""persem map export: a map file as points, tables, rasters, meshes and grids."""
+
+from __future__ import annotations
+
+from typing import Any, TYPE_CHECKING
+
+from persem_ros.errors import PersemError
+
+if TYPE_CHECKING:
+    from argparse import _SubParsersAction, Namespace
+
+    from persem_ros.outputs.export.source import Choice, MapSource
+    from persem_ros.settings.legend import Legend
+
+# Option, metavar, help; in the order in which they are written.
+FORMATS = (
+    ('ply', 'OUT', 'points as in map.ply of a replay'),
+    ('laz', 'OUT', 'LAS 1.4 points, compressed unless the name ends in .las (needs laspy, lazrs)'),
+    ('geotiff', 'OUT', 'the top-most classes from above, and OUT.values.tif with height, '
+                       'confidence and observations (needs rasterio)'),
+    ('mesh', 'OUT', 'the outer faces of the voxels, coloured: .glb or .ply'),
+    ('npz', 'OUT', 'a NumPy archive with all class probabilities'),
+    ('parquet', 'OUT', 'a table with all class probabilities (needs pyarrow)'),
+    ('grid', 'DIR', 'costs for a vehicle on the ground as Nav2 loads them: map.yaml, map.pgm, and '
+                    'classes beside'))
+CHANGEABLE = ('grid.', 'map.crs', 'map.georeference')
+
+
+def add_parser(actions: _SubParsersAction[Any]) -> None:
+    """Add the action to persem map."""
+    parser = actions.add_parser(
+        'export', help='points, tables, rasters, meshes, grids for other programs',
+        description='Writes the voxels of a map file for other programs; several formats at once '
+                    'if you like. Maps may be larger than memory.')
+    parser.add_argument('file', metavar='FILE', help='a map file (.persem)')
+    for name, metavar, text in FORMATS:
+        parser.add_argument(f'--{name}', metavar=metavar, help=text)
+    parser.add_argument(
+        '--crop', type=float, nargs=6, metavar=('X0', 'Y0', 'Z0', 'X1', 'Y1', 'Z1'),
+        help='only voxels whose centres lie in this box, metres in the map frame')
+    parser.add_argument(
+        '--min-observations', type=int, default=1, metavar='N',
+        help='only voxels that were observed N times or more often')
+    parser.add_argument('--classes', metavar='A,B',
+                        help='only these classes: names or ids, separated by commas')
+    parser.add_argument('--legend', metavar='FILE',
+                        help="names, colours, costs and LAS codes in place of the map's own: a "
+                             'shipped legend or a YAML file')
+    parser.add_argument('--set', metavar='NAME=VALUE', action='append', default=[],
+                        dest='set_items', help='a setting grid.*, map.crs or map.georeference; '
+                                               'may be given again')
+    parser.add_argument('--force', action='store_true', help='replace what exists')
+    parser.set_defaults(run=run)
+
+
+def run(args: Namespace) -> None:
+    """Write the chosen voxels in each format that was asked for; say what was written."""
+    from persem_ros.outputs.export.source import MapSource
+    from persem_ros.settings.legend import load_legend
+    wanted = [(name, getattr(args, name)) for name, _, _ in FORMATS if getattr(args, name)]
+    if not wanted:
+        raise PersemError('nothing to write: give at least one of '
+                          + ', '.join(f'--{name}' for name, _, _ in FORMATS))
+    source = MapSource(args.file, load_legend(args.legend) if args.legend else None)
+    source.config = _changed(source, args.set_items)
+    choice = _choice(args, source.legend)
+    for name, out in wanted:
+        _check_free(args, name, out)
+    for name, out in wanted:
+        print(WRITERS[name](out, source, choice))
+
+
+def _ply(out: str, source: MapSource, choice: Choice) -> str:
+    from persem_ros.outputs.map.cloud import map_points
+    from persem_ros.outputs.map.ply import map_comments, write_ply_parts
+    found = source.summary_of_something(choice)
+    with source.shown(choice, 'ply') as chunks:
+        write_ply_parts(out, found.voxels, (
+            map_points(columns, source.voxel_size, source.legend) for columns in chunks),
+            map_comments(source.map_frame, tuple(source.origin), source.voxel_size))
+    return f'{found.voxels} of {source.n_voxels} voxels written to {out}'
+
+
+def _laz(out: str, source: MapSource, choice: Choice) -> str:
+    from persem_ros.outputs.export.las import write_las
+    n, without = write_las(out, source, choice)
+    told = ''
+    if without:
+        names = ', '.join(source.legend.name(c) for c in without[:5])
+        told = (f'; without a key las in the legend, and so class 1 (unclassified): {names}'
+                + (' …' if len(without) > 5 else ''))
+    return f'{n} of {source.n_voxels} voxels written to {out}{_where(source)}{told}'
+
+
+def _geotiff(out: str, source: MapSource, choice: Choice) -> str:
+    from persem_ros.outputs.export.raster import write_geotiff
+    width, height = write_geotiff(out, source, choice)
+    return f'{width} x {height} pixels written to {out}{_where(source)}'
+
+
+def _mesh(out: str, source: MapSource, choice: Choice) -> str:
+    from persem_ros.outputs.export.mesh import write_mesh
+    return f'{write_mesh(out, source, choice)} faces written to {out}'
+
+
+def _npz(out: str, source: MapSource, choice: Choice) -> str:
+    from persem_ros.outputs.export.tables import write_npz
+    source.summary_of_something(choice)
+    return f'{write_npz(out, source, choice)} of {source.n_voxels} voxels written to {out}'
+
+
+def _parquet(out: str, source: MapSource, choice: Choice) -> str:
+    from persem_ros.outputs.export.tables import write_parquet
+    source.summary_of_something(choice)
+    return f'{write_parquet(out, source, choice)} of {source.n_voxels} voxels written to {out}'
+
+
+def _grid(out: str, source: MapSource, choice: Choice) -> str:
+    from persem_ros.outputs.export.nav2 import write_nav2
+    cells = write_nav2(out, source, choice)
+    known = cells.cost[cells.cost >= 0]
+    return (f'{cells.cost.shape[1]} x {cells.cost.shape[0]} cells of {cells.size:g} m written to '
+            f'{out}/map.yaml: {(known < 100).sum()} passable, {(known == 100).sum()} lethal, '
+            f'{(cells.cost < 0).sum()} unknown')
+
+
+WRITERS = {'ply': _ply, 'laz': _laz, 'geotiff': _geotiff, 'mesh': _mesh, 'npz': _npz,
+           'parquet': _parquet, 'grid': _grid}
+
+
+def _where(source: MapSource) -> str:
+    """Return words about the coordinates of what was written."""
+    crs = source.config.map.crs
+    return f' in {crs}' if crs else (f' in the frame {source.map_frame}, without georeference '
+                                     '(persem map georeference gives one)')
+
+
+def _changed(source: MapSource, items: list[str]) -> Any:
+    """Return the map's settings with those of --set."""
+    from persem_ros.settings import config_file
+    values: dict[str, Any] = dict(map(config_file.parse_item, items))     # type: ignore
+    for name in values:
+        if not name.startswith(CHANGEABLE):
+            raise PersemError(f'--set {name}: the map was made with what it has; expected one of '
+                              'grid.*, map.crs, map.georeference')
+    return config_file.from_values(values, source.config, '--set ')
+
+
+def _choice(args: Namespace, legend: Legend) -> Choice:
+    """Return the Choice that the options make."""
+    from persem_ros.outputs.export.source import Choice
+    box = args.crop
+    if box and not all(low < high for low, high in zip(box[:3], box[3:])):
+        raise PersemError('--crop: expected X0 < X1, Y0 < Y1 and Z0 < Z1, got '
+                          f'{" ".join(f"{x:g}" for x in box)}')
+    return Choice(args.min_observations, tuple(box) if box else None,
+                  _labels(args.classes, legend))
+
+
+def _labels(text: str | None, legend: Legend) -> frozenset[int]:
+    """Return the ids of classes that are given by name or id."""
+    from persem_ros.settings.config import nearest
+    by_name = {legend.name(c): c for c in legend.ids}
+    found = set()
+    for word in filter(None, (part.strip() for part in (text or '').split(','))):
+        if word in by_name:
+            found.add(by_name[word])
+        elif word.isdigit() and int(word) < 65535:
+            found.add(int(word))
+        else:
+            raise PersemError(f'--classes: there is no class {word!r}{nearest(word, by_name)}; '
+                              'the map has '
+                              + (', '.join(list(by_name)[:20]) or 'no legend: give ids'))
+    return frozenset(found)
+
+
+def _check_free(args: Namespace, name: str, out: str) -> None:
+    """Refuse an output that exists or is the map."""
+    from pathlib import Path
+    path = Path(out) / 'map.yaml' if name == 'grid' else Path(out)
+    if path.resolve() == Path(args.file).resolve():
+        raise PersemError(f'{out} is the map itself; give another name with --{name}')
+    if path.is_file() and not args.force:
+        raise PersemError(f'{path} exists; give another name with --{name}, or --force to '
+                          'replace it')

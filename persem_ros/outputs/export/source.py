@@ -1,0 +1,257 @@
+"""A map file as a stream of voxels: a few blocks at a time, whatever the size of the map."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from pathlib import Path
+import struct
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from persem_ros.core.memory.pools import SIDE
+from persem_ros.errors import PersemError
+from persem_ros.guard.database import checked
+from persem_ros.outputs.map import schema1
+from persem_ros.outputs.map.rows import about_of, columns_of, KINDS, matrices, ORDER
+from persem_ros.outputs.map.store import reading
+from persem_ros.outputs.progress import progress
+from persem_ros.settings import config_file
+from persem_ros.settings.config import Config
+from persem_ros.settings.legend import Legend
+
+BLOCKS = 256            # read at a time
+Columns = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Choice:
+    """
+    Which voxels are meant.
+
+    Attributes
+    ----------
+    min_observations : int
+    crop : tuple of 6 float, optional
+        x0 y0 z0 x1 y1 z1 in metres in the map frame; a voxel's centre must lie within.
+    labels : frozenset of int
+        Only these refined labels; empty: all.
+    gone : bool
+        Whether voxels whose content moved away are among them.
+
+    """
+
+    min_observations: int = 1
+    crop: tuple[float, ...] | None = None
+    labels: frozenset[int] = frozenset()
+    gone: bool = False
+
+
+@dataclass
+class Summary:
+    """What chosen voxels have in common: counts, extent, labels."""
+
+    voxels: int = 0
+    of: int = 0             # voxels of the map
+    most_observed: int = 0
+    low: Any = None         # ndarray (3,), int64: indices of voxels, inclusive; None: no voxel
+    high: Any = None
+    labels: dict[int, int] = field(default_factory=dict)   # label -> number of voxels
+
+
+class MapSource:
+    """
+    A map file, of which nothing but its small tables is held in memory.
+
+    Parameters
+    ----------
+    path : str or Path
+    legend : persem_ros.settings.legend.Legend, optional
+        In place of the file's own.
+
+    Attributes
+    ----------
+    path : Path
+    voxel_size : float
+        Metres.
+    origin : ndarray, shape (3,), float64
+        Metres in the map frame.
+    map_frame : str
+    config : persem_ros.settings.config.Config
+        In force when the map was saved.
+    legend : persem_ros.settings.legend.Legend
+    n_voxels, n_blocks : int
+    stamps : ndarray, shape (f,), int64
+        Nanoseconds, by row of the frame table.
+    positions : ndarray, shape (f, 3), float64
+        The sensor's, metres in the map frame, the best known.
+
+    Raises
+    ------
+    PersemError
+        For a file that is missing, foreign, of another schema, or damaged.
+
+    """
+
+    def __init__(self, path: Path | str, legend: Legend | None = None) -> None:
+        self.path = Path(path)
+        with reading(self.path) as (db, self._first):
+            kinds: dict[str, Any] = dict(schema1.KINDS if self._first else KINDS)
+            small = {table: list(checked(
+                db.execute(f'SELECT * FROM {table} ORDER BY {ORDER[table]}'), kinds[table],
+                self.path.stat().st_size)) for table in ORDER if table in kinds and
+                table != 'blocks'}
+            about = about_of(small)
+            self.stamps = np.array([row[4] for row in small['frames']], np.int64)
+            best = [row[6] if len(row) > 6 and row[6] is not None else row[5]
+                    for row in small['frames']]
+            self.positions = matrices(best)[:, :3, 3]
+            self._t = np.array([row[1] for row in small['frames']], np.int32)
+        self.voxel_size = float(about['voxel_size'])
+        self.origin = np.array(struct.unpack('<3d', about['origin']))
+        self.map_frame = str(about['map_frame'])
+        self.n_voxels, self.n_blocks = int(about['voxels']), int(about['blocks'])
+        self.config: Config = config_file.from_text(
+            about['settings'], f'settings in {self.path}') or Config()
+        own = Legend.from_yaml(about['legend'], str(self.path)) if about['legend'] else None
+        self.legend = legend or own or Legend()
+
+    def chunks(self, choice: Choice | None = None, blocks: int = BLOCKS) -> Iterator[Columns]:
+        """
+        Yield the chosen voxels' columns, sorted by block, *blocks* blocks at a time.
+
+        A column of blocks along z is never cut in two.
+
+        Yields
+        ------
+        dict
+            voxel (n, 3) int32; label, majority (n,) uint16; confidence (n,) float32 (of the
+            label); observations, switches (n,) uint32; source, gone (n,) uint8; first_stamp,
+            last_stamp (n,) int64 ns, of the observations that are kept; start (n + 1,) int64,
+            classes (m,) uint16 and probabilities (m,) float32: voxel v saw
+            classes[start[v]:start[v + 1]] with these shares of its evidence.
+
+        """
+        choice = choice or Choice()
+        with reading(self.path) as (db, first):
+            kinds: Any = (schema1.KINDS if first else KINDS)['blocks']
+            rows: list[Any] = []
+            for row in checked(db.execute('SELECT * FROM blocks ORDER BY x, y, z'), kinds,
+                               self.path.stat().st_size):
+                if len(rows) >= blocks and row[:2] != rows[-1][:2]:
+                    yield self._chosen(_decoded(rows, first), choice)
+                    rows = []
+                rows.append(row)
+            if rows:
+                yield self._chosen(_decoded(rows, first), choice)
+
+    def shown(self, choice: Choice, what: str) -> AbstractContextManager[Iterator[Columns]]:
+        """Give chunks(choice) to be looped over, with a progress bar called *what*."""
+        return progress(self.chunks(choice), what, -(-self.n_blocks // BLOCKS), 'parts')
+
+    def summary(self, choice: Choice | None = None) -> Summary:
+        """Return what the chosen voxels have in common; reads the whole file once."""
+        result = Summary(of=self.n_voxels)
+        for columns in self.chunks(choice):
+            voxel = columns['voxel']
+            if not len(voxel):
+                continue
+            low, high = voxel.min(axis=0).astype(np.int64), voxel.max(axis=0).astype(np.int64)
+            result.low = low if result.low is None else np.minimum(result.low, low)
+            result.high = high if result.high is None else np.maximum(result.high, high)
+            result.voxels += len(voxel)
+            result.most_observed = max(result.most_observed, int(columns['observations'].max()))
+            for label, count in zip(*np.unique(columns['label'], return_counts=True)):
+                result.labels[int(label)] = result.labels.get(int(label), 0) + int(count)
+        return result
+
+    def summary_of_something(self, choice: Choice) -> Summary:
+        """Return summary(choice); refuse a choice of nothing in a sentence."""
+        found = self.summary(choice)
+        if found.voxels:
+            return found
+        whole = self.summary(Choice(gone=True))
+        if whole.low is None or whole.high is None:
+            raise PersemError(f'{self.path}: no voxel is left to export; the map is empty')
+        corners = (_point(self.centres(corner[None])[0]) for corner in (whole.low, whole.high))
+        raise PersemError(
+            f'{self.path}: no voxel is left to export; the map reaches from '
+            f'{" to ".join(corners)} m, with up to {whole.most_observed} observations a voxel and '
+            f'the labels {", ".join(map(str, sorted(whole.labels)[:20]))}')
+
+    def centres(self, voxel: NDArray[Any]) -> NDArray[np.float64]:
+        """Return the middles of voxels, (n, 3), metres in the map frame."""
+        return (voxel + 0.5) * self.voxel_size + self.origin
+
+    def _chosen(self, columns: Columns, choice: Choice) -> Columns:
+        """Return the columns of the chosen voxels, with the stamps of their observations."""
+        for name in ('first', 'last'):
+            place = columns.pop(f'{name}_seen')
+            if self._first:
+                place = np.searchsorted(self._t, place)
+            columns[f'{name}_stamp'] = self.stamps[place]
+        keep = columns['observations'] >= choice.min_observations
+        if not choice.gone:
+            keep &= columns['gone'] == 0
+        if choice.labels:
+            keep &= np.isin(columns['label'], list(choice.labels))
+        if choice.crop:
+            low, high = np.array(choice.crop[:3]), np.array(choice.crop[3:])
+            centres = self.centres(columns['voxel'])
+            keep &= ((centres >= low) & (centres <= high)).all(axis=1)
+        return columns if keep.all() else _kept(columns, keep)
+
+
+def _decoded(rows: list[Any], first: bool) -> Columns:
+    """Return the columns of all voxels of some blocks; ValueError for damaged ones."""
+    raw = columns_of(rows, first)
+    count = np.array([row[3] for row in rows], np.int64)
+    n = len(raw['cell'])
+    start, history = (np.concatenate([[0], np.cumsum(raw[f'{name}_count'], dtype=np.int64)])
+                      for name in ('evidence', 'history'))
+    newest = raw['history_t' if first else 'history_frame']
+    if count.sum() != n or raw['cell'].max(initial=0) >= SIDE ** 3 or \
+            start[-1] != len(raw['evidence_class']) or len(raw['evidence_sum']) != start[-1] or \
+            history[-1] != len(newest) or not (np.diff(history) > 0).all() or \
+            any(len(raw[name]) != n for name in ('observations', 'switches', 'label',
+                                                 'majority', 'source')):
+        raise ValueError('length of a column')
+    cell = raw['cell'].astype(np.int32)
+    corner = np.repeat(np.array([row[:3] for row in rows], np.int64) * SIDE, count, axis=0)
+    if (np.abs(corner) >= 2 ** 31 - 2 * SIDE).any():
+        raise ValueError('place of a block')
+    voxel = corner.astype(np.int32) + np.stack([cell >> 6, cell >> 3 & 7, cell & 7], axis=1)
+    owner = np.repeat(np.arange(n), np.diff(start))
+    total = np.bincount(owner, raw['evidence_sum'], n)
+    if not (total > 0).all() or not np.isfinite(total).all():
+        raise ValueError('evidence')
+    share = raw['evidence_sum'] / total[owner]
+    own = np.bincount(owner, np.where(raw['evidence_class'] == raw['label'][owner], share, 0), n)
+    posterior = np.zeros(n, np.float32) if first else raw['posterior']
+    return {'voxel': voxel, 'label': raw['label'], 'majority': raw['majority'],
+            'confidence': np.where(posterior > 0, posterior, own).astype(np.float32),
+            'observations': raw['observations'], 'switches': raw['switches'],
+            'source': raw['source'],
+            'gone': np.zeros(n, np.uint8) if first else raw['gone'],
+            'first_seen': newest[history[:-1]], 'last_seen': newest[history[1:] - 1],
+            'start': start, 'classes': raw['evidence_class'],
+            'probabilities': share.astype(np.float32)}
+
+
+def _kept(columns: Columns, keep: NDArray[np.bool_]) -> Columns:
+    """Return the columns of some of the voxels."""
+    length = np.diff(columns['start'])
+    entries = np.repeat(keep, length)
+    result = {name: column[keep] for name, column in columns.items()
+              if name not in ('start', 'classes', 'probabilities')}
+    result['start'] = np.concatenate([[0], np.cumsum(length[keep])])
+    for name in ('classes', 'probabilities'):
+        result[name] = columns[name][entries]
+    return result
+
+
+def _point(xyz: NDArray[np.float64]) -> str:
+    """Return three numbers as text."""
+    return ' '.join(f'{x:.6g}' if abs(x) < 1e5 else f'{x:.2f}' for x in xyz)
