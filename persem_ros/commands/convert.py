@@ -37,7 +37,8 @@ def _add_frames(kinds: _SubParsersAction[Any]) -> None:
     files = parser.add_argument_group('files')
     for what, text in (('labels', 'label images: one channel of class ids'),
                        ('depth', 'depth images: 16-bit or floating-point'),
-                       ('pose', 'pose files, or one trajectory file (TUM, KITTI)'),
+                       ('pose', 'pose files, or one trajectory file (TUM, KITTI, EuRoC .csv, '
+                                'SceneNN .log, ARKitScenes .traj)'),
                        ('color', 'colour images'), ('truth', 'label images of true ids')):
         files.add_argument(f'--{what}', metavar='PATTERN', default='', help=text)
     files.add_argument('--intrinsics', metavar='FILE', default='',

@@ -83,6 +83,27 @@ def compare_conventions(depths: dict[int, NDArray[np.float64]],
     return result
 
 
+def fits_better(depths: dict[int, NDArray[np.float64]], those: dict[int, NDArray[np.float64]],
+                these: dict[int, NDArray[np.float64]], K: NDArray[np.float64],
+                convention: tuple[str, str]) -> bool:
+    """
+    Return whether *those* poses fit twice as well as *these* do under any convention.
+
+    Parameters
+    ----------
+    depths, K
+        Of compare_conventions().
+    those, these : dict of int to ndarray, shape (4, 4)
+        Two readings of the same poses.
+    convention : (direction, axes)
+        What holds for *those*.
+
+    """
+    error = compare_conventions(depths, those, K, [convention]).get(convention, np.inf)
+    errors = compare_conventions(depths, these, K)
+    return bool(errors) and error < 0.5 * min(errors.values()) and error < 0.7 * WORST
+
+
 def judge(errors: dict[tuple[str, str], float], direction: str, axes: str) -> str:
     """
     Say what the comparison means for the convention in use.

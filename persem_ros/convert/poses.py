@@ -1,23 +1,20 @@
-"""Pose files: one matrix a file (7-Scenes, ScanNet), or a trajectory (TUM, KITTI)."""
+"""The poses of a data set, and pose files with one pose each (7-Scenes, ScanNet)."""
 
 from __future__ import annotations
 
 from bisect import bisect_left
 from dataclasses import dataclass, field
-import logging
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.convert.files import canonical, numbers_of, read_lines
-from persem_ros.convert.stamps import number_of_name, seconds_to_ns
+from persem_ros.convert.files import numbers_of, read_lines
 from persem_ros.core.transforms import matrix_to_quaternion, slerp, transform
 from persem_ros.errors import PersemError
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-LOG = logging.getLogger(__name__)
 ROTATION_TOLERANCE = 1e-2       # largest entry of |R R^T - I| that is put down to rounding
 EXPECTED = ('expected 16 or 12 numbers (a 4x4 or 3x4 matrix) or 7 numbers '
             '(x y z qx qy qz qw)')
@@ -38,6 +35,10 @@ class Poses:
         The trajectory's poses.
     lost : list of str
         Frames whose pose is NaN or infinite: the tracker's way to say "lost".
+    order : str
+        How quaternions were read: "x y z w" or "w x y z"; empty where there are none.
+    other : Poses, optional
+        The same file in the other order, where nothing in it says which it is.
 
     """
 
@@ -45,6 +46,8 @@ class Poses:
     stamps: list[Any] = field(default_factory=list)
     matrices: list[Any] = field(default_factory=list)
     lost: list[Any] = field(default_factory=list)
+    order: str = ''
+    other: Poses | None = None
 
     def add(self, key: str, T: NDArray[np.float64]) -> None:
         """Take the pose of a frame, None for a lost one."""
@@ -128,67 +131,3 @@ def poses_from_files(files: dict[str, Path]) -> Poses:
         T = pose_of_numbers(numbers_of(words, path), path)
         poses.add(key, T)
     return poses
-
-
-def poses_from_trajectory(path: Path, keys: list[str], stamped: bool) -> Poses | None:
-    """
-    Return the Poses of a file with one pose a line.
-
-    Parameters
-    ----------
-    path : Path
-        Lines of "stamp x y z qx qy qz qw" (TUM), "number x y z qx qy qz qw", or 12, 16 or 7
-        numbers in the order of the frames (KITTI).
-    keys : list of str
-        The frames, in order.
-    stamped : bool
-        Whether the frames have stamps of their own that a trajectory's can be compared with.
-
-    """
-    rows = read_lines(path)
-    if len({len(words) for _, words in rows}) > 1:
-        raise PersemError(f'{path}: lines of different length; expected the same numbers in each')
-    tagged = len(rows[0][1]) in (8, 13, 17)
-    tags = [words[0] for _, words in rows] if tagged else None
-    matrices = [pose_of_numbers(numbers_of(words[tagged:], f'{path}, line {number}'),
-                                f'{path}, line {number}') for number, words in rows]
-    if tagged and (stamped or not all(tag.isdecimal() for tag in tags)):
-        return _stamped(path, tags, matrices)
-    known = {canonical(key): key for key in keys}
-    if tags is None:
-        tags = _tags_of_lines(path, len(rows), keys)
-    poses = Poses()
-    for tag, T in zip(tags, matrices, strict=True):
-        key = known.get(canonical(tag))
-        if key is not None:
-            poses.add(key, T)
-    return poses
-
-
-def _stamped(path: Path, tags: list[str], matrices: list[NDArray[np.float64]]) -> Poses:
-    """Return the Poses of a trajectory with stamps; the first of two equal stamps counts."""
-    poses = Poses()
-    order: dict[Any, Any] = {}
-    for tag, T in zip(tags, matrices, strict=True):
-        stamp = seconds_to_ns(tag, str(path))
-        if T is None:
-            poses.lost.append(tag)
-        else:
-            order.setdefault(stamp, T)
-    poses.stamps = sorted(order)
-    poses.matrices = [order[stamp] for stamp in poses.stamps]
-    repeated = len(matrices) - len(order) - len(poses.lost)
-    if repeated:
-        LOG.warning('%s: %d poses repeat a stamp; the first of each counts', path, repeated)
-    return poses
-
-
-def _tags_of_lines(path: Path, count: int, keys: list[str]) -> list[str] | None:
-    """Return the frame that each line of a file without stamps belongs to."""
-    if count == len(keys):
-        return keys
-    numbers = [number_of_name(key) for key in keys]
-    if all(key.isdecimal() for key in keys) and max(numbers) < count:
-        return [str(i) for i in range(count)]
-    raise PersemError(f'{path}: {count} poses for {len(keys)} frames; expected one a line and '
-                      'frame, or stamps in front (TUM format)')

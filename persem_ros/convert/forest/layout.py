@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.convert.files import canonical, files_of, some
 from persem_ros.convert.forest import poses as forest_poses
-from persem_ros.convert.poses import poses_from_files, poses_from_trajectory
+from persem_ros.convert.poses import poses_from_files
 from persem_ros.convert.stamps import number_of_name
 from persem_ros.errors import PersemError
 

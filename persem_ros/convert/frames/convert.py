@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+import logging
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from persem_ros.convert import axes
 from persem_ros.convert.checks import check_conventions, sampled
 from persem_ros.convert.frames.layout import (
-    find_frames, FramesOptions, intrinsics_source, layout_unit)
+    find_frames, FramesOptions, intrinsics_source, layout_unit, say_unregistered)
 from persem_ros.convert.images import (
     metres, parse_unit, read_color, read_depth, read_labels, scaled_K, units_per_metre)
 from persem_ros.convert.intrinsics import read_intrinsics
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from persem_ros.convert.poses import Poses
     from persem_ros.convert.scene import SceneWriter
     from persem_ros.settings.legend import Legend
+
+LOG = logging.getLogger(__name__)
 
 
 def convert_frames(folder: Path, path: Path, options: FramesOptions | None = None,
@@ -66,8 +69,9 @@ def convert_frames(folder: Path, path: Path, options: FramesOptions | None = Non
     items, poses = find_frames(folder, options)
     camera = read_intrinsics(intrinsics_source(folder, options))
     K = _fitting_K(camera, items[0], unit, options)
+    say_unregistered(folder)
     if options.check:
-        _check(items, poses, K, unit, options)
+        poses = _check(items, poses, K, unit, options)
     return write_scene(
         writer, legend, _trajectory(items, poses, options), items,
         lambda scene, item: _write_frame(scene, item, K, camera, unit, options))
@@ -107,13 +111,20 @@ def _optical(T: NDArray[np.float64], options: FramesOptions) -> NDArray[np.float
 
 
 def _check(items: list[Item], poses: Poses, K: NDArray[np.float64], unit: float | None,
-           options: FramesOptions) -> None:
-    """Reproject some depth images to see whether unit, axes and world fit."""
+           options: FramesOptions) -> Poses:
+    """Reproject some depth images to see whether unit, axes, world and quaternions fit."""
     depths, places = sampled(
         len(items), lambda i: metres(*read_depth(items[i].depth, unit, options.depth_invalid)),
         lambda i: poses.at(items[i].key, items[i].depth_stamp))
+    if poses.other is not None:
+        there = {i: poses.other.at(items[i].key, items[i].depth_stamp) for i in depths}
+        if axes.fits_better(depths, there, places, K, (options.direction, options.axes)):
+            poses, places = poses.other, there
+            LOG.warning('the quaternions of the poses are read in the order %s: depth of one '
+                        'frame meets that of another only so', poses.order)
     check_conventions(depths, places, K, (options.direction, options.axes, options.world),
                       units_per_metre(items[0].depth, unit))
+    return poses
 
 
 def _write_frame(scene: SceneWriter, item: Item, K: NDArray[np.float64], camera: Intrinsics,

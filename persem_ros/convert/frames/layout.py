@@ -10,10 +10,11 @@ from typing import Any, TYPE_CHECKING
 
 from persem_ros.convert.files import canonical, files_of, some
 from persem_ros.convert.intrinsics import is_numbers
-from persem_ros.convert.poses import poses_from_files, poses_from_trajectory
+from persem_ros.convert.poses import poses_from_files
 from persem_ros.convert.scene import chosen, report_dropped
 from persem_ros.convert.stamps import (
     number_of_name, stamp_of_name, stamps_from_file, stamps_from_names, stamps_from_rate)
+from persem_ros.convert.trajectories import poses_from_trajectory
 from persem_ros.convert.uavscenes.layout import is_uavscenes
 from persem_ros.errors import PersemError
 
@@ -26,7 +27,8 @@ LAYOUTS = {
     'labels': ('*.label.png', '*.labels.png', 'labels/*', 'label/*', 'semantic/*'),
     'depth': ('*.depth.png', 'depth/*'),
     'pose': ('*.pose.txt', 'pose/*', 'poses/*', 'groundtruth.txt', 'trajectory.txt',
-             'poses.txt', 'traj.txt'),
+             'poses.txt', 'traj.txt', 'lowres_wide.traj', 'trajectory.log',
+             'state_groundtruth_estimate0/data.csv'),
     'color': ('*.color.jpg', '*.color.png', 'color/*', 'rgb/*'),
     'truth': ('*.truth.png', 'truth/*'),
     'intrinsics': ('camera-intrinsics.txt', 'intrinsics.txt', 'camera.yaml', 'camera.txt',
@@ -291,6 +293,14 @@ def layout_unit(folder: Path, options: FramesOptions) -> float | None:
         LOG.info('a TUM folder: depth in units of 1/5000 m (--depth-unit to change it)')
         return TUM_UNITS_PER_METRE
     return None
+
+
+def say_unregistered(folder: Path) -> None:
+    """Say of a folder laid out like 7-Scenes that its colour does not lie on its depth."""
+    if all(next(folder.glob(f'frame-*.{what}'), None) is not None
+           for what in ('color.png', 'depth.png', 'pose.txt')):
+        LOG.info('%s: laid out like 7-Scenes, whose colour and depth are not registered: labels '
+                 'computed on colour lie beside the depth by some pixels', folder)
 
 
 def intrinsics_source(folder: Path, options: FramesOptions) -> Path | None:
