@@ -12,6 +12,7 @@ from persem_ros.core.agreement import pairs_to_check, reprojection_error, WORST
 from persem_ros.core.transforms import inverse
 
 LOG = logging.getLogger(__name__)
+CLEAR = 0.7         # of the error, that another reading of the poses must leave at most
 DIRECTIONS = ('camera-to-world', 'world-to-camera')
 # Points of the optical frame (x right, y down, z forward) to the camera axes of the files.
 CAMERA_AXES = {
@@ -87,7 +88,7 @@ def fits_better(depths: dict[int, NDArray[np.float64]], those: dict[int, NDArray
                 these: dict[int, NDArray[np.float64]], K: NDArray[np.float64],
                 convention: tuple[str, str]) -> bool:
     """
-    Return whether *those* poses fit twice as well as *these* do under any convention.
+    Return whether *those* poses fit clearly better than *these* do under any convention.
 
     Parameters
     ----------
@@ -101,7 +102,7 @@ def fits_better(depths: dict[int, NDArray[np.float64]], those: dict[int, NDArray
     """
     error = compare_conventions(depths, those, K, [convention]).get(convention, np.inf)
     errors = compare_conventions(depths, these, K)
-    return bool(errors) and error < 0.5 * min(errors.values()) and error < 0.7 * WORST
+    return bool(errors) and error < CLEAR * min(errors.values()) and error < 0.7 * WORST
 
 
 def judge(errors: dict[tuple[str, str], float], direction: str, axes: str) -> str:

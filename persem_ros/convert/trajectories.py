@@ -147,6 +147,8 @@ def _poses(path: Path, rows: list[Row], keys: list[str], stamped: bool,
 def _numbered(tags: list[str], matrices: Matrices, keys: list[str]) -> Poses:
     """Return the Poses of the frames that *tags* name."""
     known = {canonical(key): key for key in keys}
+    if not any(canonical(tag) in known for tag in tags):    # 'frame-000005' and '5'
+        known = {str(number_of_name(key)): key for key in keys}
     poses = Poses()
     for tag, T in zip(tags, matrices, strict=True):
         key = known.get(canonical(tag))

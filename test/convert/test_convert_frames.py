@@ -13,7 +13,8 @@ from persem_ros.convert.frames.convert import convert_frames
 from persem_ros.convert.frames.layout import FramesOptions
 from persem_ros.convert.images import nearest, parse_unit, read_depth, scaled_K
 from persem_ros.convert.intrinsics import read_intrinsics
-from persem_ros.convert.poses import pose_of_numbers, poses_from_trajectory
+from persem_ros.convert.poses import pose_of_numbers
+from persem_ros.convert.trajectories import poses_from_trajectory
 from persem_ros.core import agreement
 from persem_ros.core.transforms import (
     inverse, matrix_to_quaternion, quaternion_to_matrix, transform)

@@ -12,6 +12,7 @@ from persem_ros.convert.files import canonical, files_of, some
 from persem_ros.convert.forest import poses as forest_poses
 from persem_ros.convert.poses import poses_from_files
 from persem_ros.convert.stamps import number_of_name
+from persem_ros.convert.trajectories import poses_from_trajectory
 from persem_ros.errors import PersemError
 
 if TYPE_CHECKING:
