@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 import logging
 import os
 from pathlib import Path
@@ -235,6 +235,12 @@ def made_up_colors(ids: NDArray[np.int64] | list[int]) -> NDArray[np.uint8]:
         .astype(np.uint8)
 
 
+@cache
+def _made_up() -> NDArray[np.uint8]:
+    """Return the made-up colours of all ids."""
+    return made_up_colors(np.arange(UNKNOWN + 1))
+
+
 def load_legend(name: Path | str) -> Legend | None:
     """
     Return the Legend of a shipped name (town, uavscenes, forest, cityscapes) or of a file.
@@ -309,7 +315,7 @@ def _class(row: dict[str, Any], where: str) -> LegendClass:
 def _color(value: list[int] | str | None, number: int, where: str) -> tuple[int, int, int]:
     """Return (red, green, blue) of [r, g, b], '#rrggbb' or nothing."""
     if value is None:
-        return tuple(int(v) for v in made_up_colors([number])[0])
+        return tuple(_made_up()[number].tolist())
     if isinstance(value, str) and len(value) == 7 and value[0] == '#':
         try:
             return tuple(bytes.fromhex(value[1:]))

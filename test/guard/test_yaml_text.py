@@ -68,11 +68,18 @@ def test_any_value_of_a_setting_is_taken_or_refused(name, value):
         assert len(str(error)) < 1500
 
 
-def test_a_legend_of_all_classes_takes_seconds_and_comes_back():
-    text = 'classes:\n' + ''.join(f'- {{id: {i}, name: class number {i}}}\n' for i in range(65535))
-    legend = Legend.from_yaml(text)
-    assert Legend.from_yaml(legend.to_yaml()) == legend
-    assert len(legend.ids) == 65535
+def test_a_legend_of_all_classes_is_within_bounds_and_takes_seconds():
+    def text(n):
+        return 'classes:\n' + ''.join(
+            f'- {{id: {i}, name: class number {i}, color: [1, 2, 3], group: group of {i}, '
+            f'dynamic: false, ignored: false}}\n' for i in range(n))
+
+    rows, nodes = 10, yaml_text.LEGEND.nodes / 65535
+    yaml_text.check(text(rows), yaml_text.LEGEND._replace(
+        size=rows * yaml_text.LEGEND.size // 65535, nodes=int(rows * nodes)))
+    legend = Legend.from_yaml('classes:\n' + ''.join(
+        f'- {{id: {i}, name: class number {i}}}\n' for i in range(65534 - 6000, 65535)))
+    assert Legend.from_yaml(legend.to_yaml()) == legend and len(legend.ids) == 6001
 
 
 def test_no_message_writes_out_a_long_value():

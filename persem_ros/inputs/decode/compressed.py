@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.jit import cached
 from persem_ros.guard.limits import too_many_pixels
+from persem_ros.guard.pictures import check_parts, pixels_of
 
 HEADER = 12         # compressedDepth: int32 format, float32 A, float32 B
 INTEGERS = ('16UC1', 'mono16')
 # Depth without that header.
 PLAIN = ('png', *(f'{name.lower()}; {how}' for name in INTEGERS
                   for how in ('png', 'png compressed')))
-PEEK = 64           # bytes that hold the size of a PNG
 SIZE = 8            # RVL: uint32 columns, uint32 rows
 
 
@@ -115,7 +115,8 @@ def _deep(form: str, data: NDArray[np.uint8]) -> tuple[NDArray[np.uint16], NDArr
 
 def _imdecode(data: NDArray[np.uint8], flags: int, form: str) -> NDArray[Any]:
     """Decode with OpenCV, which answers None or throws at damaged data."""
-    check_pixels(*pixels_of(data))
+    check_pixels(*pixels_of(memoryview(data)))
+    check_parts(memoryview(data))
     try:
         image = cv2.imdecode(data, flags) if data.size else None
     except cv2.error:
@@ -125,27 +126,6 @@ def _imdecode(data: NDArray[np.uint8], flags: int, form: str) -> NDArray[Any]:
                          f'a compressed image of format {form!r} and {data.size} bytes cannot be '
                          'decoded')
     return image
-
-
-def pixels_of(data: Any) -> Any:
-    """
-    Return (width, height) as the header of a PNG or JPEG says, (0, 0) where it says nothing.
-
-    What does not begin as one of these is refused: OpenCV would try a dozen other decoders.
-
-    """
-    head = data[:PEEK].tobytes()
-    if head[:8] == b'\x89PNG\r\n\x1a\n':
-        return int.from_bytes(head[16:20], 'big'), int.from_bytes(head[20:24], 'big')
-    if head[:2] != b'\xff\xd8':
-        raise ValueError('damaged compressed image', 'a compressed image is neither PNG nor JPEG')
-    at, data = 2, data.tobytes()
-    while at + 9 <= len(data) and data[at] == 0xff:     # segments up to the frame header
-        if 0xc0 <= data[at + 1] <= 0xcf and data[at + 1] not in (0xc4, 0xc8, 0xcc):
-            return int.from_bytes(data[at + 7:at + 9], 'big'), \
-                int.from_bytes(data[at + 5:at + 7], 'big')
-        at += 1 if data[at + 1] == 0xff else 2 + int.from_bytes(data[at + 2:at + 4], 'big')
-    raise ValueError('damaged compressed image', 'a JPEG image says nothing of its size')
 
 
 def check_pixels(width: Any, height: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 from persem_ros.inputs.decode.messages import BadMessage
@@ -19,10 +20,8 @@ class Decoder:
     """Deserializes messages of ROS 2 Jazzy's own types."""
 
     def __init__(self) -> None:
-        """Load the types."""
-        self._store = get_typestore(Stores.ROS2_JAZZY)
-        self._store.register({name: types for kind, text in VISION.items()
-                              for name, types in get_types_from_msg(text, kind).items()})
+        """Load the types, the first time."""
+        self._store = _types()
 
     def __call__(self, data: bytes, typename: str) -> Any:
         """Return the message; BadMessage where its bytes are damaged."""
@@ -32,3 +31,12 @@ class Decoder:
         except (SerdeError, LookupError, OverflowError, AssertionError, ValueError) as error:
             raise BadMessage('damaged message', f'a {typename} cannot be deserialized: '
                              f'{" ".join(str(error).split()) or type(error).__name__}') from None
+
+
+@functools.cache
+def _types() -> Any:
+    """Return the types, once a process: it compiles what it meets, some 50 ms in all."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register({name: types for kind, text in VISION.items()
+                    for name, types in get_types_from_msg(text, kind).items()})
+    return store
