@@ -73,7 +73,7 @@ def query(args: Namespace) -> None:
     """Print the history, evidence and label of the voxel at a point."""
     import numpy as np
     from persem_ros.core.refine.explain import explain
-    from persem_ros.outputs.map.explanation import explanation
+    from persem_ros.outputs.map.explanation import explanation, of_file
     from persem_ros.outputs.map.store import load
     stored = load(args.file)
     memory = stored.memory()
@@ -83,7 +83,7 @@ def query(args: Namespace) -> None:
         raise PersemError(f'{args.file}: nothing was observed at {_point(point)} m'
                           + _nearest(memory, point))
     voxel = place.astype(np.int32)
-    print(explanation(stored, voxel, explain(memory, voxel, stored.config().refine)))
+    print(explanation(of_file(stored), voxel, explain(memory, voxel, stored.config().refine)))
 
 
 def _nearest(memory: VoxelMemory, point: NDArray[np.float64]) -> str | None:

@@ -136,6 +136,11 @@ class Inputs:
         self.resolve()
 
     @property
+    def pose_buffers(self):
+        """Return the pose buffers of all cameras; only the worker may ask them."""
+        return list(self._buffers.values())
+
+    @property
     def settled(self):
         """Whether every topic has a publisher of a type that was subscribed to."""
         return all(one.chosen is not None and self.publishers(one) for one in self.needed)

@@ -10,6 +10,7 @@ from persem_ros.inputs.decode import legends
 from persem_ros.inputs.decode.serialized import Decoder
 from persem_ros.inputs.live import LiveIntake
 from persem_ros.inputs.names import Names
+from persem_ros.ros.clicked import ClickedPoint
 from persem_ros.ros.counters import Statistics
 from persem_ros.ros.diagnostics import Diagnostics
 from persem_ros.ros.ending import Ending
@@ -72,6 +73,7 @@ class Mapper(Node):
         self.worker.connect(self.inbox, self.intake, images, self.maps, self.inputs.all,
                             FirstLook(self.inputs.stations, decode))
         self.triggers = Services(self, self.worker, self.map_file)
+        self._clicked = ClickedPoint(self)
         self._watchdog = Watchdog(self.inputs, self.statistics)
         self._losses = Losses(self.inputs.all)
         self._diagnostics = Diagnostics(self, self.worker, self.inputs, self.inbox)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +12,7 @@ from persem_ros.core.memory.evidence import TIE
 from persem_ros.outputs.map.cloud import SOURCES
 
 if TYPE_CHECKING:
-    from persem_ros.core.memory.voxel_memory import FrameRecord
+    from persem_ros.core.memory.frame_table import FrameTable
     from persem_ros.outputs.map.store import StoredMap
     from persem_ros.settings.config import Refine
     from persem_ros.settings.legend import Legend
@@ -20,36 +21,53 @@ TILTS = ('upright', 'sloping', 'level', 'of no direction')
 ROUGHNESS = ('smooth', 'rough', 'scattered')
 
 
-def explanation(stored: StoredMap, voxel: NDArray[np.int32], trace: dict[str, Any]) -> str:
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """What an explanation names besides the voxel: size, frame, frame table, settings, legend."""
+
+    voxel_size: float
+    origin: Sequence[float]
+    map_frame: str
+    frames: FrameTable
+    settings: Refine
+    legend: Legend
+
+
+def of_file(stored: StoredMap) -> Surroundings:
+    """Return the Surroundings of the voxels in a map file."""
+    return Surroundings(stored.saved.voxel_size, stored.saved.origin, stored.map_frame,
+                        stored.saved.frames, stored.config().refine, stored.legend)
+
+
+def explanation(around: Surroundings, voxel: NDArray[np.int32], trace: dict[str, Any]) -> str:
     """
     Return what a voxel has seen and why it has its label, as lines of text.
 
     Parameters
     ----------
-    stored : persem_ros.outputs.map.store.StoredMap
-        The map file: voxel size, legend, frame table and settings.
+    around : Surroundings
+        Of the map.
     voxel : sequence of 3 int
         Its index.
     trace : dict
         What core.refine.explain.explain returned.
 
     """
-    name = names(stored.legend)
-    saved, settings = stored.saved, stored.config().refine
+    name, settings = names(around.legend), around.settings
     label = trace['stored_label']
     share = trace['shares'].get(label, 0.0) if trace['geometry'] is None else \
         trace['geometry']['posterior'].get(label, 0.0)
-    centre = [(i + 0.5) * saved.voxel_size + o for i, o in zip(voxel, saved.origin)]
+    centre = [(i + 0.5) * around.voxel_size + o for i, o in zip(voxel, around.origin)]
     lines = [f'voxel {" ".join(str(int(i)) for i in voxel)}, centre '
-             f'{" ".join(f"{x:.3f}" for x in centre)} m in {stored.map_frame}',
+             f'{" ".join(f"{x:.3f}" for x in centre)} m in {around.map_frame}',
              f'label {label} {name(label)}, by {SOURCES[trace["stored_source"]]} '
              f'(method {settings.method}), confidence {share:.4f}',
              f'{trace["observations"]} observations, majority label {trace["majority"]} '
              f'{name(trace["majority"])}, {trace["neighbours"]} neighbours', '', 'why']
-    lines += [f'  {sentence}' for sentence in reasons(trace, settings, name, saved.voxel_size)]
+    lines += [f'  {sentence}' for sentence in reasons(trace, settings, name, around.voxel_size)]
     if trace['geometry'] is not None:
         lines += ['', *geometry_table(trace['geometry'], name)]
-    lines += ['', *evidence_table(trace, name), '', *history_table(trace, saved.frames, name)]
+    lines += ['', *evidence_table(trace, name), '', *history_table(trace, around.frames, name)]
     return '\n'.join(lines)
 
 
@@ -177,7 +195,7 @@ def evidence_table(trace: dict[str, Any], name: Callable[..., Any]) -> list[str]
 
 
 def history_table(
-        trace: dict[str, Any], frames: list[FrameRecord], name: Callable[..., Any]) -> list[str]:
+        trace: dict[str, Any], frames: FrameTable, name: Callable[..., Any]) -> list[str]:
     """Return the table of the stored observations, with the replay's steps."""
     stamps = dict(zip(frames.t[::-1].tolist(), frames.stamp[::-1].tolist()))
     lines = [f'{"t":>6}  {"stamp, s":<22}{"id":>5}  {"class":<20}{"s":>7}{"gap":>6}{"g":>3}'
