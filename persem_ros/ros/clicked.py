@@ -138,7 +138,7 @@ def markers(memory: VoxelMemory, voxel: NDArray[np.int32], legend: Any, head: An
 
 
 def _marker(head: Any, number: int, kind: int, scale: list[float], color: Any,
-            place: NDArray[np.float64] | None) -> Any:
+            place: Any) -> Any:
     """Return a Marker of the explanation."""
     marker = Marker(header=head, ns='explanation', id=number, type=kind, action=Marker.ADD,
                     color=color)

@@ -9,7 +9,7 @@ from sensor_msgs.msg import Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
 
-def header(stamp, frame_id):
+def header(stamp: int, frame_id: str) -> Header:
     """Return a Header; *stamp* in ns."""
     seconds, nanoseconds = divmod(int(stamp), 1_000_000_000)
     return Header(stamp=Time(sec=seconds, nanosec=nanoseconds), frame_id=frame_id)
