@@ -14,13 +14,13 @@ VALUES = (*map(str, NUMBERS), '.nan', '.inf', '-.inf', '1e-320', '1e309', '~', '
           '[' * 40, '{a: ' * 40, 'x' * 12_000, '9' * 5000, '"a: b', '|', '>-', '%', '@', '`')
 
 
-def damaged(rng, data):
-    """Return bytes that were cut, flipped, doubled, zeroed or filled with strange lengths."""
+def damaged(rng, data, same=False):
+    """Return bytes that were cut, flipped, zeroed or filled; *same*: of the same length."""
     data = bytearray(data)
     for _ in range(rng.choice((1, 1, 2, 4))):
         if not data:
             break
-        at, act = rng.randrange(len(data)), rng.randrange(8)
+        at, act = rng.randrange(len(data)), rng.choice((1, 3, 5, 6) if same else range(8))
         if act == 0:
             del data[at:]
         elif act == 1:
@@ -28,14 +28,14 @@ def damaged(rng, data):
         elif act == 2:
             del data[at:at + rng.randrange(1, 300)]
         elif act == 3:
-            data[at:at + 20] = bytes(min(20, len(data) - at))
+            data[at:at + 9] = bytes(len(data[at:at + 9]))
         elif act == 4:
             data[at:at] = rng.randbytes(rng.randrange(1, 60))
         elif act == 5:
-            data[at:at + 8] = rng.choice(STRANGE)
+            data[at:at + 8] = rng.choice(STRANGE)[:len(data[at:at + 8])]
         elif act == 6:
             at -= at % 4
-            data[at:at + 4] = rng.choice(WORDS)
+            data[at:at + 4] = rng.choice(WORDS)[:len(data[at:at + 4])]
         else:
             data[at:at] = str(rng.choice(NUMBERS + FLOATS + TEXTS)).encode()
     return bytes(data)

@@ -21,6 +21,7 @@ NEEDED = {'topics': {'id', 'name', 'type', 'serialization_format'},
 ONE = """SELECT data FROM messages WHERE id = ? AND typeof(data) = 'blob'"""
 SIZES = """SELECT CASE typeof(data) WHEN 'blob' THEN length(data) ELSE 0 END FROM messages"""
 
+LEAST_ROW = 8           # bytes of a message with what SQLite keeps of it
 CUT = 64                # times what is left of a file that its messages may have been
 
 
@@ -145,8 +146,10 @@ class SqliteFile:
     def _rows(self, columns: str) -> Iterator[tuple[Any, ...]]:
         # By row id, not by time: the index on time is the first thing that a cut destroys.
         limit_steps(self._base, self._size())
-        rows = self._base.execute(f'SELECT {columns} FROM messages ORDER BY id')
-        while True:
+        rows = self._base.execute(f'SELECT {columns}, id FROM messages ORDER BY id')
+        before = -1 << 63
+        # In a damaged file pages may lead back to themselves: more rows than bytes.
+        for _ in range(self._size() // LEAST_ROW):
             try:
                 row = rows.fetchone()
             except sqlite3.ProgrammingError:
@@ -156,7 +159,12 @@ class SqliteFile:
                 return
             if row is None:
                 return
-            yield row
+            if row[-1] > before:
+                before = row[-1]
+                yield row[:-1]
+            else:
+                self._note('damaged')
+        self._note('damaged')
 
     def _is_short(self) -> bool:
         """Whether the file has fewer pages than it says; one with a log need not be whole."""
