@@ -166,7 +166,8 @@ class Fuzz:
     def line(self):
         """Return the figures as one line."""
         minutes = (time.monotonic() - self.began) / 60
-        return (f'{sum(self.counts.values())} inputs in {minutes:.1f} minutes, {self.deaths} deaths, {self.faults} faults, '
+        return (f'{sum(self.counts.values())} inputs in {minutes:.1f} minutes, '
+                f'{self.deaths} deaths, {self.faults} faults, '
                 f'longest {self.longest[0]:.1f} s ({self.longest[1]}), '
                 f'peak RSS {self.peak / 1e6:.0f} MB')
 
