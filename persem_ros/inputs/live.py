@@ -61,6 +61,7 @@ class LiveIntake(Intake):
         self.jumps = 0
         self._clock, self._steady = clock, steady
         self._backlog = Backlog()
+        self._began = 0         # when frames began to be taken, by steady()
         self._partners = {}     # station -> Partners
         self._clocks = {}       # assembler -> Clocks
         self._on_jump = on_jump
@@ -112,6 +113,10 @@ class LiveIntake(Intake):
             self._take_now(*odd)
         self._take_now(role, taker, kind, now, data)
 
+    def begin(self) -> None:
+        """Count as backlog only what frames wait from now on."""
+        self._began = self._steady()
+
     def may_leave(self, stamp: Any, number: Any, match: Any, now: Any) -> Any:
         """Whether the other cameras have nothing earlier, or were waited for long enough."""
         waited = now - match.complete >= self._hold
@@ -129,7 +134,8 @@ class LiveIntake(Intake):
     def wanted(self, match: Any, number: Any) -> Any:
         """Whether a match is young enough to become a frame."""
         now = self._steady()
-        if self._backlog.late(now - match.ready, now, round(self.config.sync.queue * 1e9)):
+        age = now - max(match.ready, self._began)
+        if self._backlog.late(age, now, round(self.config.sync.queue * 1e9)):
             self.dropped[BEHIND] += 1
             return False
         return True

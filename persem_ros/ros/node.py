@@ -124,7 +124,8 @@ class Mapper(Node):
         if not self.inputs.settled and self._looking.is_canceled():
             self._looking.reset()
         self.inputs.want_color(any('overlay' in out.wanted() for out in self._images.values()))
-        self._watchdog.look()
+        if self.worker.ready.is_set():      # before that nothing can be complete
+            self._watchdog.look()
         self._losses.look()
         late, before = self.intake.lateness, self._late
         self._late = late > 0

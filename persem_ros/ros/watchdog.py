@@ -8,6 +8,7 @@ from persem_ros.ros.inputs import Input, Inputs
 
 log = logging.getLogger(__name__)
 PATIENCE = 5.0      # s
+MISSING = 'no complete frame'
 
 
 class Watchdog:
@@ -28,24 +29,35 @@ class Watchdog:
     """
 
     def __init__(self, inputs: Inputs, statistics: Statistics) -> None:
-        """Begin to wait."""
+        """Begin to wait with the first look."""
         self._inputs, self._statistics = inputs, statistics
-        self._since = time.monotonic()
+        self._since: float | None = None
+        self._told: list[str] = []      # what stood in the way of each topic at the last warning
+        self._found = self._told, 0.0
         self.state = ''
 
     def look(self) -> None:
-        """Warn once when nothing has come for 5 s; say once that it comes again."""
+        """
+        Warn when no frame was complete for 5 s, again when that has another reason.
+
+        A driver that starts later may bring a topic that does not fit. Says once that frames come
+        again.
+
+        """
+        if self._since is None:
+            self._since = time.monotonic()
         last = max(self._since, self._statistics.last_frame or 0.0)
         before, self.state = self.state, ''
         if time.monotonic() - last >= PATIENCE:
-            self.state = 'nothing comes any more' if self._ended() else 'no complete frame'
-        if self.state == before:
+            self.state = 'nothing comes any more' if self._ended() else MISSING
+        if self.state == before and not (self.state == MISSING and self._differs()):
             return
         if self.state == 'nothing comes any more':
             log.warning('nothing comes any more: %d frames were mapped, for %.0f s no topic has '
                         'brought anything (has the recording ended?)', self._statistics.frames,
                         PATIENCE)
         elif self.state:
+            self._told = self._obstacles()
             log.warning('no complete set of messages for %.0f s: %s', PATIENCE, self.describe())
         elif before:
             log.info('complete sets of messages come again')
@@ -67,6 +79,16 @@ class Watchdog:
         verdict = self._inputs.verdict(one) or f'QoS fits ({one.reliability})'
         return (f'{one.listened} ({one.role}): {one.count} messages{lost}, {last}, {publishers} '
                 f'publishers, {verdict}')
+
+    def _obstacles(self) -> list[str]:
+        return [self._inputs.verdict(one) if one.count == 0 else '' for one in self._inputs.needed]
+
+    def _differs(self) -> bool:
+        """Whether what stands in the way is another than was told, and has been for a while."""
+        found, now = self._obstacles(), time.monotonic()
+        if found != self._found[0]:
+            self._found = found, now
+        return found != self._told and now - self._found[1] >= PATIENCE
 
     def _ended(self) -> bool:
         """Whether frames had come and no topic brings anything any more."""

@@ -136,6 +136,7 @@ class Worker(threading.Thread):
         try:
             with Announcement():
                 self._guarded(warm_up)
+            self.intake.begin()
             self.ready.set()
             log.info('ready')
             while not self._ending:

@@ -218,6 +218,27 @@ def test_a_wait_that_passes_drops_nothing_and_one_that_stays_does():
     assert dropped > 500
 
 
+def test_what_waited_while_kernels_were_loaded_is_no_backlog():
+    live = Live()
+    live.fly(1)
+    live.pose(1.2)
+    before = len(live.frames)
+    live.depth(1.1)
+    late = live.intake
+    late._steady = lambda: live.steady + 3 * S
+    late.begin()
+    live.labels(1.1)
+    assert len(live.frames) == before + 1 and not live.dropped
+
+
+def test_a_longer_queue_has_more_patience_with_a_burst():
+    ms = S // 1000
+    ages = [(50 * i, i) for i in range(1, 60)]      # 60 frames at once, 50 ms for each
+    for queue, lost in ((2 * S, True), (60 * S, False)):
+        backlog = Backlog()
+        assert any(backlog.late(a * ms, a * ms, queue) for a, _ in ages) == lost
+
+
 def test_frames_that_waited_for_too_long_are_dropped_before_they_are_decoded():
     live = Live()
     live.fly(1)

@@ -18,9 +18,9 @@ os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 os.environ.setdefault('CYCLONEDDS_URI', '<CycloneDDS><Domain><General><Interfaces>'
                       '<NetworkInterface name="lo" multicast="true"/></Interfaces></General>'
                       '</Domain></CycloneDDS>')
-_domains = itertools.cycle(range(1, 100))
-for _ in range(os.getpid() % 99):
-    next(_domains)
+# Twenty domains from ROS_DOMAIN_ID on, one after the other; without it, from somewhere on.
+_first = int(os.environ.get('ROS_DOMAIN_ID') or 1 + 20 * (os.getpid() % 4))
+_domains = itertools.cycle(range(_first, _first + 20))
 
 
 class Ros:
@@ -55,9 +55,9 @@ class Ros:
             os.sep, '_')[-40:])))
         return self._started[-1]
 
-    def mapper(self, settings=(), arguments=()):
+    def mapper(self, settings=(), arguments=(), start=()):
         """Start the node; it is ended with the test."""
-        self._started.append(harness.Mapper(self, settings, arguments))
+        self._started.append(harness.Mapper(self, settings, arguments, start))
         return self._started[-1]
 
     def close(self):

@@ -162,7 +162,7 @@ class Client:
 
 class Mapper(Process):
     """
-    The node as `ros2 run` starts it.
+    The node, started as a launch file does: `ros2 run` would not pass SIGTERM on.
 
     Parameters
     ----------
@@ -171,14 +171,16 @@ class Mapper(Process):
         Parameters besides SETTINGS.
     arguments : sequence of str
         Further ROS arguments.
+    start : sequence of str, optional
+        Another command that starts it.
 
     """
 
-    def __init__(self, ros, settings=(), arguments=()):
+    def __init__(self, ros, settings=(), arguments=(), start=()):
         """Start it; it is not ready yet."""
         options = [word for name, value in {**SETTINGS, **dict(settings)}.items()
                    for word in ('-p', f'{name}:={text(value)}')]
-        super().__init__(['ros2', 'run', 'persem_ros', 'mapper', '--ros-args', *options,
+        super().__init__([*(start or [executable(ros.env)]), '--ros-args', *options,
                           *arguments], ros.env, ros.log('mapper'))
         self._client = ros.client
         self._seen = ros.diagnostics
@@ -213,6 +215,12 @@ class Mapper(Process):
         """Call one of its services; return (success, message)."""
         response = self._client.call(f'/mapper/{service}')
         return response.success, response.message
+
+
+def executable(env):
+    """Return the path of the node's executable in the workspace of *env*."""
+    prefix = env['AMENT_PREFIX_PATH'].split(os.pathsep)[0]
+    return os.path.join(prefix, 'lib', 'persem_ros', 'mapper')
 
 
 def text(value):

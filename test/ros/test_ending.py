@@ -7,6 +7,9 @@ import time
 import pytest
 
 
+RUN = ['ros2', 'run', 'persem_ros', 'mapper']
+
+
 def fresh(ros, tmp_path):
     """Let the node compile its kernels anew."""
     ros.env = {**ros.env, 'NUMBA_CACHE_DIR': str(tmp_path / 'kernels')}
@@ -25,15 +28,21 @@ def test_while_kernels_compile(ros, tmp_path, number):
     assert 'Traceback' not in mapper.output and 'ready' not in mapper.output
 
 
-@pytest.mark.parametrize('delay', [0.0, 0.3, 0.8, 1.5])
+@pytest.mark.parametrize('delay', [0.3, 0.8, 1.5])
 def test_while_it_starts(ros, delay):
-    mapper = ros.mapper()
+    mapper = ros.mapper(start=RUN)
     time.sleep(delay)
     mapper.signal(signal.SIGINT)
     mapper.wait()
     # `ros2 run` itself may be interrupted before it has started the node.
     ours = [line for line in mapper.output.splitlines() if 'persem_ros' in line]
     assert not any('File' in line for line in ours), mapper.output
+
+
+def test_ros2_run_passes_ctrl_c_on(ros):
+    mapper = ros.mapper(start=RUN).ready()
+    assert mapper.stop() == 0, mapper.output
+    assert 'Traceback' not in mapper.output
 
 
 def test_with_the_signal_of_a_closed_terminal(ros):

@@ -107,7 +107,7 @@ def test_colours_overlay_source_and_legend(ros, tmp_path):
     whole = player.messages
     player.messages = [message for message in whole if message[0] == '/color/image']
     player.play()       # first, so that every frame finds its own however the topics are served
-    until(lambda: mapper.values()['color/image messages'] == str(FRAMES), mapper.values)
+    until(lambda: mapper.values().get('color/image messages') == str(FRAMES), mapper.values)
     player.messages = [message for message in whole if message[0] != '/color/image']
     player.play()
     mapper.frames(FRAMES)

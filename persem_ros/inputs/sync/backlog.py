@@ -1,7 +1,6 @@
 """When a frame is too old to be mapped: so that images stay young under any load."""
 
 TARGET = 250_000_000        # ns that a frame may wait for good
-PATIENCE = 1_000_000_000    # ns for which the wait may be longer: a save, a large refinement
 
 
 class Backlog:
@@ -9,8 +8,9 @@ class Backlog:
     Drops early where frames come faster than they are mapped.
 
     As CoDel does in routers (Nichols & Jacobson, 2012): a wait that passes is nobody's harm, one
-    that stays is. Once frames have waited for more than `TARGET` during all of `PATIENCE`,
-    frames are dropped, the oldest first, until they wait for less.
+    that stays is. Once frames have waited for more than `TARGET` for half as long as anything may
+    wait (a save, a large refinement and a burst pass sooner), frames are dropped, the oldest
+    first, until they wait for less.
 
     """
 
@@ -28,7 +28,7 @@ class Backlog:
         now : int
             Nanoseconds of a clock that does not go back.
         limit : int
-            Nanoseconds that nothing may wait for.
+            Nanoseconds that nothing may wait for, the setting sync.queue.
 
         """
         if age < TARGET:
@@ -36,4 +36,4 @@ class Backlog:
             return False
         if self._since is None:
             self._since = now
-        return age > limit or now - self._since > PATIENCE
+        return age > limit or now - self._since > limit // 2
