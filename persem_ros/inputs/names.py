@@ -75,6 +75,14 @@ class Names:
             del tables[0]
             self._gone += stamp is None
 
+    def under(self, config: Config, legend: Legend) -> 'Names':
+        """Return what these tables mean for a map whose classes are those of *legend*."""
+        other = Names(config, legend)
+        for known in (*self._stamped, *self._arrived):
+            other.add(known.table)
+        other._gone = self._gone
+        return other
+
     @property
     def arrived(self) -> int:
         """Return how many different tables without a stamp have come."""

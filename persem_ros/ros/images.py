@@ -1,13 +1,13 @@
-"""Refined images out: the topics of one camera."""
+"""Refined labels out: the topics of one camera, or of one LiDAR with labelled clouds."""
 
 import cv2
 import numpy as np
 from persem_ros.core.frame.images import on_labels
 from persem_ros.frames import UNKNOWN
 from persem_ros.outputs.recording.refined import fitted
-from persem_ros.ros.messages import image
+from persem_ros.ros.messages import cloud, image
 from rclpy.qos import QoSProfile
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import Image, PointCloud2
 
 NO_SOURCE = 255         # in ~/source: the map knows nothing there
 QOS = QoSProfile(depth=5)       # reliable and volatile: what every subscriber can take
@@ -15,7 +15,7 @@ QOS = QoSProfile(depth=5)       # reliable and volatile: what every subscriber c
 
 class ImageOutputs:
     """
-    Publishers of labels, labels_color, overlay and source of one camera.
+    Publishers of labels, labels_color, overlay and source of one camera; of clouds: of points.
 
     Parameters
     ----------
@@ -24,15 +24,19 @@ class ImageOutputs:
         Its name, '' where there is only one.
     legend : callable
         legend() gives the persem_ros.settings.legend.Legend in force.
+    clouds : bool
+        Whether its input is labelled clouds.
 
     """
 
-    def __init__(self, node, camera, legend):
+    def __init__(self, node, camera, legend, clouds=False):
         """Advertise the topics."""
         base = f'~/{camera}/' if camera else '~/'
         self._legend = legend
-        self._out = {name: node.create_publisher(Image, f'{base}{name}', QOS)
-                     for name in ('labels', 'labels_color', 'overlay', 'source')}
+        kinds = {'points': PointCloud2} if clouds else dict.fromkeys(
+            ('labels', 'labels_color', 'overlay', 'source'), Image)
+        self._out = {name: node.create_publisher(kind, f'{base}{name}', QOS)
+                     for name, kind in kinds.items()}
 
     def wanted(self):
         """Return the names of the topics that somebody listens to."""
@@ -54,6 +58,9 @@ class ImageOutputs:
             sources() gives which step decided each pixel of the depth grid, uint8 (h, w).
 
         """
+        if 'points' in wanted:      # the cloud as it came, with other labels
+            self._out['points'].publish(cloud(frame.stamp, frame.frame_id,
+                                              frame.cloud.with_labels(labels)))
         if 'labels' in wanted:
             self._send('labels', frame, fitted(labels, frame.encoding), frame.encoding)
         if 'source' in wanted:

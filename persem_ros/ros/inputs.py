@@ -7,21 +7,23 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TransformS
 from nav_msgs.msg import Odometry
 from persem_ros.errors import PersemError
 from persem_ros.inputs.decode import messages
-from persem_ros.inputs.intake import INFO, LABELS_INFO, ORDER, POSE, TF
+from persem_ros.inputs.intake import INFO, LABELS_INFO, LEGEND, ORDER, POSE, TF
 from persem_ros.inputs.recording.topics import roles_of
 from persem_ros.inputs.sync.pairing import (
     COLOR, CONFIDENCE, DEPTH, DEPTH_CONFIDENCE, LABELS)
 from persem_ros.inputs.sync.poses import PoseBuffer
 from persem_ros.ros.inbox import Item
-from persem_ros.settings.config import topics_of
+from persem_ros.ros.messages import LabelInfo
+from persem_ros.settings.config import Labels, Topics, topics_of
 from rclpy.event_handler import SubscriptionEventCallbacks, UnsupportedEventTypeError
 from rclpy.qos import (
     DurabilityPolicy, qos_check_compatible, QoSCompatibility, QoSProfile, ReliabilityPolicy)
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
+from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
 TF_STATIC = 'tf_static'
-OPTIONAL = (COLOR, TF_STATIC, LABELS_INFO)      # nobody need publish them
+OPTIONAL = (COLOR, TF_STATIC, LABELS_INFO, LEGEND)      # nobody need publish them
 QOS_OF = {CONFIDENCE: LABELS, DEPTH_CONFIDENCE: DEPTH}
 POSES = {cls.__name__: cls for cls in (PoseStamped, PoseWithCovarianceStamped, Odometry,
                                        TransformStamped)}
@@ -35,7 +37,8 @@ class Input:
     Parameters
     ----------
     role : str
-        'labels', 'depth', 'color', 'camera_info', 'pose', 'tf' or 'tf_static'.
+        'labels', 'depth', 'color', 'camera_info', 'labels_info', 'legend', 'pose', 'tf' or
+        'tf_static'.
     name : str
         The topic as the settings name it, relative.
     topic : str
@@ -88,6 +91,8 @@ class Input:
 
     def stamp_of(self, data):
         """Return the stamp of one of its messages in ns, None where it cannot be read."""
+        if self.role == LEGEND:
+            return None
         if self.role in (TF, TF_STATIC):        # a sequence, whose first item has the header
             data = data[:4] + data[8:]
         try:
@@ -133,6 +138,7 @@ class Inputs:
             if not any(one.role == role for one in self.all):
                 self._add(role, topic, list(self._buffers.values()), [TFMessage],
                           config.qos.pose if role == TF else 'latched', 1000)
+        self._add_legend(config)
         self.resolve()
 
     @property
@@ -169,7 +175,7 @@ class Inputs:
                 number = 0
             if number is not None:
                 self._subscribe(one, number)
-            if one.role == INFO:
+            if one.role in (INFO, LABELS_INFO, LEGEND):
                 self._listen_to_the_past(one)
 
     def want_color(self, wanted):
@@ -233,6 +239,24 @@ class Inputs:
             else:
                 self._infos[key] = self._add(role, key[1], [station], [CameraInfo],
                                              qos.camera_info, small)
+                self._infos[key].choices += self._infos_of(role, topics)
+
+    def _add_legend(self, config):
+        """Listen to tables of class names where labels.topic says, or beside the labels."""
+        kinds = [String, LabelInfo] if LabelInfo else [String]
+        one = self._add(LEGEND, config.labels.topic, [None], kinds, 'auto', 10)
+        if LabelInfo and config.labels.topic == Labels().topic:
+            one.choices += [(topic, LabelInfo) for labels in self.all if labels.role == LABELS
+                            for topic in beside(labels.topic, 'label_info')]
+
+    def _infos_of(self, role, topics):
+        """Return where else the camera info of a camera's labels may be: beside them."""
+        if roles_of(self._config, topics)[role] != LABELS_INFO or \
+                not topics.labels_info.endswith(Topics().labels_info):
+            return []       # that of the depth, or a name that was typed
+        labels, depth = (self._node.resolve_topic_name(name)
+                         for name in (topics.labels, topics.camera_info))
+        return [(topic, CameraInfo) for topic in beside(labels, 'camera_info') if topic != depth]
 
     def _add(self, role, name, takers, kinds, setting, depth):
         """Add an input whose topic has one of *kinds*; images may come by a transport."""
@@ -322,6 +346,13 @@ class Inputs:
 def type_name(cls):
     """Return the name of a message class: 'sensor_msgs/msg/Image'."""
     return f'{cls.__module__.partition(".")[0]}/msg/{cls.__name__}'
+
+
+def beside(topic, name):
+    """Yield where what belongs to a topic may be: below it, beside it, above it."""
+    while topic:
+        yield f'{topic}/{name}'
+        topic = topic.rpartition('/')[0]
 
 
 def check_topics(config):

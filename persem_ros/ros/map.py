@@ -1,5 +1,5 @@
 """
-The map out: ~/map, ~/map_changes and ~/legend.
+The map out: ~/map, ~/map_changes, ~/legend and ~/label_info.
 
 What the worker pays for the map is a copy of the voxels' records. Sorting, colouring and
 publishing happen on a thread of their own; docs/node.md says what was measured.
@@ -13,7 +13,7 @@ import numpy as np
 from persem_ros.core.jit import work_alone
 from persem_ros.core.memory.voxel_memory import ordered
 from persem_ros.outputs.map.cloud import map_points, POINT
-from persem_ros.ros.messages import cloud
+from persem_ros.ros.messages import cloud, label_info, LabelInfo
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
@@ -43,6 +43,8 @@ class MapOutputs:
         self._map = node.create_publisher(PointCloud2, '~/map', LATCHED)
         self._changes = node.create_publisher(PointCloud2, '~/map_changes', QoSProfile(depth=10))
         self._text = node.create_publisher(String, '~/legend', LATCHED)
+        self._info = LabelInfo and node.create_publisher(LabelInfo, '~/label_info', LATCHED)
+        self._told = None
         self._thread = ThreadPoolExecutor(1, 'map', work_alone)
         self._job = None
         self._listeners = {'map': 0, 'changes': 0}
@@ -51,8 +53,14 @@ class MapOutputs:
         self.publish_legend()
 
     def publish_legend(self):
-        """Publish the legend in force."""
-        self._text.publish(String(data=self._legend().to_yaml()))
+        """Publish the legend in force, where it is another than before."""
+        legend = self._legend()
+        if legend is self._told:
+            return
+        self._told = legend
+        self._text.publish(String(data=legend.to_yaml()))
+        if self._info is not None:
+            self._info.publish(label_info(legend))
 
     @property
     def busy(self):

@@ -42,10 +42,16 @@ class MapFile:
     legend : callable
         legend() gives the Legend in force.
 
+    Attributes
+    ----------
+    legend : Legend or None
+        Of the file that was loaded last, None where it has none.
+
     """
 
     def __init__(self, forgotten: Callable[[], int], legend: Callable[[], Legend]) -> None:
         self._forgotten, self._legend = forgotten, legend
+        self.legend: Legend | None = None
         self._saving = threading.Lock()
         self._held: dict[Path, _Held] = {}
 
@@ -81,6 +87,7 @@ class MapFile:
         stored = store.load(path)
         memory = stored.memory(config)
         memory.new_session()
+        self.legend = stored.legend if stored.legend.classes else None
         if file is not None and not _shortened(stored.saved, config.memory.max_history):
             self._held[path] = _Held(file, memory, self._forgotten())
         return memory

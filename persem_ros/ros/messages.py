@@ -8,6 +8,11 @@ from persem_ros.outputs.recording.messages import DATATYPES, PIXELS
 from sensor_msgs.msg import Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
+try:
+    from vision_msgs.msg import LabelInfo, VisionClass
+except ImportError:         # not part of every installation
+    LabelInfo = None
+
 
 def header(stamp: int, frame_id: str) -> Header:
     """Return a Header; *stamp* in ns."""
@@ -37,11 +42,29 @@ def image(stamp, frame_id, values, encoding):
                  is_bigendian=0, step=step, data=data_of(values.astype(code, copy=False)))
 
 
+def label_info(legend):
+    """
+    Return a legend as vision_msgs/LabelInfo, which has no colours.
+
+    Its stamp is 0: the ids of a map only become more, so that it holds for every image.
+
+    """
+    return LabelInfo(class_map=[VisionClass(class_id=item.id, class_name=item.name)
+                                for item in legend.classes])
+
+
 def cloud(stamp, frame_id, points):
-    """Return a PointCloud2 of a structured array (n,)."""
+    """
+    Return a PointCloud2 of a little-endian structured array (n,) or (h, w).
+
+    An organised cloud (h, w) may hold points that are none: it is not called dense.
+
+    """
     step = points.dtype.itemsize
-    fields = [PointField(name=name, offset=offset, datatype=DATATYPES[kind.str[1:]], count=1)
+    fields = [PointField(name=name, offset=offset, datatype=DATATYPES[kind.base.str[1:]],
+                         count=int(np.prod(kind.shape)))
               for name, (kind, offset) in points.dtype.fields.items()]
-    return PointCloud2(header=header(stamp, frame_id), height=1, width=len(points), fields=fields,
-                       is_bigendian=False, point_step=step, row_step=step * len(points),
-                       data=data_of(points.view(np.uint8)), is_dense=True)
+    height, width = points.shape if points.ndim == 2 else (1, len(points))
+    return PointCloud2(header=header(stamp, frame_id), height=height, width=width, fields=fields,
+                       is_bigendian=False, point_step=step, row_step=step * width,
+                       data=data_of(points.view(np.uint8)), is_dense=points.ndim == 1)

@@ -6,10 +6,11 @@ import threading
 
 from persem_ros.errors import PersemError
 from persem_ros.guard import limits
-from persem_ros.inputs.decode import legends
 from persem_ros.inputs.decode.serialized import Decoder
 from persem_ros.inputs.live import LiveIntake
 from persem_ros.inputs.names import Names
+from persem_ros.inputs.recording.topics import roles_of
+from persem_ros.inputs.sync.pairing import LABELS
 from persem_ros.ros.clicked import ClickedPoint
 from persem_ros.ros.counters import Statistics
 from persem_ros.ros.diagnostics import Diagnostics
@@ -19,20 +20,20 @@ from persem_ros.ros.images import ImageOutputs
 from persem_ros.ros.inbox import Inbox
 from persem_ros.ros.inputs import check_topics, Inputs
 from persem_ros.ros.losses import Losses
-from persem_ros.ros.map import LATCHED, MapOutputs
+from persem_ros.ros.map import MapOutputs
 from persem_ros.ros.map_file import MapFile
 from persem_ros.ros.parameters import Parameters
 from persem_ros.ros.services import Services
 from persem_ros.ros.watchdog import Watchdog
 from persem_ros.ros.wording import as_ros
 from persem_ros.ros.worker import Worker
-from persem_ros.settings.legend import Legend, load_legend
+from persem_ros.settings.config import topics_of
+from persem_ros.settings.legend import load_legend
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from std_msgs.msg import String
 
 LOOK = 0.1      # s between two looks at the graph, until every input is found
 LATE = 'depth images come {:.1f} s after their stamp, or their clock is behind (chrony, PTP): ' \
@@ -56,19 +57,21 @@ class Mapper(Node):
         config = self.parameters.config
         limits.use(config.inputs.max_pixels)
         check_topics(config)
-        self.legend = load_legend(config.labels.legend) if config.labels.legend else Legend()
+        legend = load_legend(config.labels.legend) if config.labels.legend else None
         self._colors = None
         self.statistics = Statistics()
         self.map_file = MapFile(lambda: self.statistics.forgotten, lambda: self.legend)
-        self.worker = Worker(config, self.statistics, self.map_file.begin(config))
+        memory = self.map_file.begin(config)
+        self.worker = Worker(config, self.statistics, memory)
         self.inbox = Inbox(config.sync, self.worker.lost)
         decode = Decoder()
         self.intake = LiveIntake(config, decode, self.statistics.dropped, self.worker.jumped,
                                  lambda: self.get_clock().now().nanoseconds)
-        self.intake.names = Names(config, self.legend)
+        self.intake.names = Names(config, legend or self.map_file.legend)
         self.maps = MapOutputs(self, config.frames.map, self.colors)
         cameras = [name for name in config.cameras if name] or ['']
-        images = {name: ImageOutputs(self, name, self.colors) for name in cameras}
+        images = {name: ImageOutputs(self, name, self.colors, maps_clouds(config, name))
+                  for name in cameras}
         self.inputs = Inputs(self, config, self.intake, self.inbox)
         self.worker.connect(self.inbox, self.intake, images, self.maps, self.inputs.all,
                             FirstLook(self.inputs.stations, decode))
@@ -79,8 +82,6 @@ class Mapper(Node):
         self._diagnostics = Diagnostics(self, self.worker, self.inputs, self.inbox)
         self._images = images
         self._late = False
-        if not config.labels.legend:
-            self.create_subscription(String, config.labels.topic, self._take_legend, LATCHED)
         self.parameters.follow(self._configure)
         steady = Clock(clock_type=ClockType.STEADY_TIME)    # a paused /clock stops no timer
         self._looking = self.create_timer(LOOK, self._look, clock=steady)
@@ -100,6 +101,11 @@ class Mapper(Node):
                                  self.statistics.frames > 0)
         logging.getLogger('persem_ros').removeHandler(self._handler)
         return well
+
+    @property
+    def legend(self):
+        """Return the classes of the map."""
+        return self.intake.names.legend
 
     def colors(self):
         """Return the legend with the ids that the settings ignore in grey, as a replay's."""
@@ -133,21 +139,10 @@ class Mapper(Node):
             self.get_logger().warning(LATE.format(late / 1e9))
         self._diagnostics.publish(self._watchdog.state)
 
-    def _take_legend(self, msg):
-        """Take the names of a topic, YAML or JSON; warn of what is neither."""
-        try:
-            table = legends.table(msg)
-        except PersemError as error:
-            self.get_logger().warning(f'{self.parameters.config.labels.topic}: {error}')
-            return
-        self.worker.call(self._know, table)
 
-    def _know(self, table):
-        """Let ids follow their names from now on; on the worker's thread, which decodes."""
-        self.intake.names.add(table)
-        if self.intake.names.legend != self.legend:
-            self.legend = self.intake.names.legend
-            self.maps.publish_legend()
+def maps_clouds(config, camera):
+    """Return whether a camera is a LiDAR with labelled clouds."""
+    return roles_of(config, topics_of(config, camera))[LABELS] == 'points'
 
 
 def main(args=None, ending=None):

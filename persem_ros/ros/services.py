@@ -53,7 +53,7 @@ class Services:
     def load_map(self):
         """Load map.path in place of the map."""
         memory = self._map_file.load(self._worker.config)
-        self._worker.call(self._worker.replace, memory).result()
+        self._worker.call(self._worker.replace, memory, self._map_file.legend).result()
         return f'loaded {memory.n_voxels} voxels from {path_of(self._worker.config)}'
 
     def reset(self):

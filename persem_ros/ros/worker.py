@@ -14,6 +14,7 @@ from persem_ros.core.jit import Announcement
 from persem_ros.core.memory.evict import keep_near
 from persem_ros.core.warmup import warm_up
 from persem_ros.errors import PersemError
+from persem_ros.inputs.intake import LEGEND
 from persem_ros.inputs.live import BEHIND
 from persem_ros.inputs.sync.pairing import DEPTH, NO_DEPTH, QUEUE_FULL
 from persem_ros.pipeline import Pipeline
@@ -152,8 +153,11 @@ class Worker(threading.Thread):
         self.intake.configure(config)
         self.inbox.configure(config.sync)
 
-    def replace(self, memory):
-        """Go on with another map; None: an empty one."""
+    def replace(self, memory, legend=None):
+        """Go on with another map and its classes; None: an empty one, the classes as they are."""
+        if legend is not None and not self.config.labels.legend:
+            self.intake.names = self.intake.names.under(self.config, legend)
+            self.map.publish_legend()
         self.pipeline = Pipeline(self.config, memory)
         self._stale = {'map', 'changes'}
         self._unrefined = memory is not None
@@ -235,6 +239,8 @@ class Worker(threading.Thread):
     def _take(self, item):
         for taker in item.input.takers:
             self.intake.take(item.input.role, taker, item.kind, item.arrival, item.data)
+        if item.input.role == LEGEND:
+            self.map.publish_legend()
         if not self.first_look.done:
             self.first_look.take(item)
             self.first_look.look(self.config, self.inputs)

@@ -9,7 +9,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 import pytest
 
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
-sys.path[:0] = [os.path.dirname(os.path.abspath(__file__)), os.path.join(ROOT, 'test')]
+sys.path[:0] = [os.path.dirname(os.path.abspath(__file__)), os.path.join(ROOT, 'test'),
+                os.path.join(ROOT, 'test', 'inputs')]
 
 import harness                          # noqa: E402, I100, I201 - beside this file
 
