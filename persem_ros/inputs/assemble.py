@@ -24,6 +24,7 @@ from persem_ros.settings.legend import Legend
 if TYPE_CHECKING:
     from persem_ros.inputs.sync.pairing import Match
 
+OTHER_CAMERA = 'labels of another camera'
 NamesAt = Callable[[int, int], tuple[Legend, NDArray[np.int32] | None]]
 
 
@@ -57,6 +58,11 @@ class Assembler:
     def frame_id(self) -> str:
         """Return the frame of the first camera info, None before it has come."""
         return self._views.frame_id
+
+    @property
+    def knows_labels(self) -> bool:
+        """Return whether a camera info of the labels' own camera has come."""
+        return self._label_views.frame_id is not None
 
     def add_info(self, info: Any) -> None:
         """Use *info* for images from its stamp on; refuse (BadMessage) an unusable one."""
@@ -140,7 +146,7 @@ class Assembler:
         """Return the View of labels of another camera than the depth's."""
         if self._label_views.frame_id is None:
             frames = messages.frame_id(label_msg), messages.frame_id(depth_msg)
-            raise BadMessage('labels of another camera', other_camera_sentence(*frames, T))
+            raise BadMessage(OTHER_CAMERA, other_camera_sentence(*frames, T))
         return self._label_views.of(label_msg, *shape[::-1])
 
     def _cloud(self, match: Any, msg: Any, new: Any) -> Any:

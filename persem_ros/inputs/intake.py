@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 
 import numpy as np
 from persem_ros.core.transforms import inverse
-from persem_ros.inputs.assemble import Assembler
+from persem_ros.inputs.assemble import Assembler, OTHER_CAMERA, other_camera_sentence
 from persem_ros.inputs.decode import clouds, legends, messages
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.names import Names
@@ -261,7 +261,12 @@ class Intake:
         other = (depth if lidar else labels).frame_id or frame_id
         if found.T is None or other == frame_id and not lidar:
             return found
-        return self._tied(poses, match, found, frame_id, other, lidar)
+        tied = self._tied(poses, match, found, frame_id, other, lidar)
+        if tied.T is None or lidar or match.T_labels_depth is None or assembler.knows_labels:
+            return tied
+        self.examples[OTHER_CAMERA] = other_camera_sentence(other, frame_id,
+                                                            match.T_labels_depth)
+        return Lookup(None, False, OTHER_CAMERA)
 
     def _found(self, poses: Any, stamp: Any, frame_id: Any) -> Any:
         """Return the pose of a frame; where there is none, remember why."""

@@ -26,6 +26,7 @@ log = logging.getLogger(__name__)
 TICK = 0.05             # s between two looks at frames that wait for what does not come
 TRIM = 0.5              # s between two looks at what is too far away
 THROTTLE = 5.0          # s between two warnings for one reason
+NOT_READY = 'came before the node was ready'
 LOOK = 0.1              # s between two looks at who listens to the map
 CHANGES = 1.0           # s after which changes are told however busy the node is
 
@@ -189,9 +190,14 @@ class Worker(threading.Thread):
 
     def lost(self, item):
         """Count a message that the inbox had no room for; from any thread."""
-        self.call(self._lost, item)
+        self.call(self._lost, item, self.ready.is_set())
 
-    def _lost(self, item):
+    def _lost(self, item, ready):
+        if not ready:
+            self.statistics.dropped[NOT_READY] += 1
+            self.complain(NOT_READY, f'{item.input.listened}: images came while kernels were '
+                          'compiled or loaded, the oldest are dropped')
+            return
         reason = QUEUE_FULL if item.input.role == 'labels' else f'{item.input.role}: {QUEUE_FULL}'
         self.statistics.dropped[reason] += 1
         self.complain(reason, f'{item.input.listened}: images come faster than they are mapped, '

@@ -71,12 +71,7 @@ class Ros:
 
 @pytest.fixture(scope='session')
 def workspace():
-    """
-    Return the environment of a workspace that colcon has built, kernels compiled.
-
-    It is always the same folder: numba keeps compiled kernels by the path of their source.
-
-    """
+    """Return the environment of a workspace that colcon has built, kernels compiled."""
     folder = os.path.join(ROOT, 'build', 'ros-test')
     os.makedirs(folder, exist_ok=True)
     open(os.path.join(ROOT, 'build', 'COLCON_IGNORE'), 'w').close()
@@ -86,10 +81,11 @@ def workspace():
     script = f'source {folder}/install/setup.bash && env -0'
     output = subprocess.run(['bash', '-c', script], check=True, capture_output=True).stdout
     env = dict(line.split('=', 1) for line in output.decode().split('\0') if '=' in line)
+    # The same files, by the path that the tests know them by: kernels are kept by path.
+    env['PYTHONPATH'] = f'{ROOT}{os.pathsep}{env["PYTHONPATH"]}'
     subprocess.run([sys.executable, '-c',
                     'from persem_ros.core.warmup import warm_up; warm_up()'],
-                   env=env, check=True, timeout=600,
-                   cwd=folder)      # not where the package lies: kernels are kept by path
+                   env=env, check=True, timeout=600)
     return env
 
 

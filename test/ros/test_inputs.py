@@ -82,7 +82,7 @@ def test_four_cameras_with_four_kinds_of_poses_share_a_map(ros, tmp_path):
                               '32FC1')
                     out.image(f'{name}/semantic/image', bags.stamp(at), 'camera',
                               bags.labels(frame), 'mono16')
-    settings = {'cameras': list(names), 'sync.hold': 20.0,
+    settings = {'cameras': list(names), 'sync.hold': 8.0,
                 **{f'cameras.{name}.topics.pose': f'{name}/pose' for name in names}}
     expected = replayed(path, tmp_path / 'replay', **settings)
     saved = tmp_path / 'live.persem'

@@ -63,7 +63,7 @@ GRASS, ROAD = '{"1": {"class": "grass"}, "2": {"class": "road"}}', \
 
 def names_of(text):
     """Return {id: name} of a legend's YAML."""
-    return {item.id: item.name for item in Legend.from_yaml(text).classes}
+    return {item.id: item.name for item in Legend.from_yaml(text).classes} if text else {}
 
 
 def test_names_in_json_keep_their_ids_when_the_network_renumbers(ros, tmp_path):
