@@ -8,7 +8,8 @@ from persem_ros.core.frame.observe import observe
 from persem_ros.core.frame.render import render, voxel_image, voxel_image_of
 from persem_ros.core.frame.smoothing import EmaImages
 from persem_ros.core.jit import keep_memory, mark_complete
-from persem_ros.core.memory.dump import dump, load
+from persem_ros.core.memory.capture import dump
+from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.evict import keep_near
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine.job import begin_next, finish, label, refine

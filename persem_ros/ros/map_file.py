@@ -9,7 +9,8 @@ import threading
 import time
 from typing import Any, NamedTuple
 
-from persem_ros.core.memory.dump import dump, MemoryDump
+from persem_ros.core.memory.capture import dump
+from persem_ros.core.memory.dump import MemoryDump
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.errors import PersemError
 from persem_ros.outputs.map import store

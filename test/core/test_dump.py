@@ -5,7 +5,8 @@ from dataclasses import fields, replace
 from core_worlds import core_of, examples, observations, refinements, worlds
 from hypothesis import given, strategies as st
 import numpy as np
-from persem_ros.core.memory.dump import dump, load
+from persem_ros.core.memory.capture import dump
+from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine.job import begin, finish, refine
 from persem_ros.core.refine.regions import regions

@@ -5,7 +5,8 @@ from dataclasses import replace
 from core_worlds import columns_of, core_of, examples, observations, refinements, seeds, worlds
 from hypothesis import given, strategies as st
 import numpy as np
-from persem_ros.core.memory.dump import dump, load
+from persem_ros.core.memory.capture import dump
+from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.evict import drop
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine import sweep

@@ -13,7 +13,8 @@ before = jit.signatures()
 
 from dataclasses import replace
 from persem_ros.settings.config import METHODS, Memory, Refine
-from persem_ros.core.memory.dump import dump, load
+from persem_ros.core.memory.capture import dump
+from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.evict import keep_near
 from persem_ros.core.frame.images import points
 from persem_ros.core.memory.voxel_memory import VoxelMemory

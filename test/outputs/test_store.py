@@ -12,7 +12,7 @@ import sys
 import core_worlds as cw
 from hypothesis import given, strategies as st
 import numpy as np
-from persem_ros.core.memory.dump import dump
+from persem_ros.core.memory.capture import dump
 from persem_ros.core.refine.job import refine
 from persem_ros.errors import PersemError
 from persem_ros.outputs.map import store
@@ -212,7 +212,7 @@ import os, random, signal, sys, time
 sys.path[:0] = ['test', 'test/outputs']
 import core_worlds as cw
 from persem_ros.settings.config import Config
-from persem_ros.core.memory.dump import dump
+from persem_ros.core.memory.capture import dump
 from persem_ros.outputs.map import store
 from test_store import frames, plain
 path, rng = sys.argv[1], random.Random(5)

@@ -123,6 +123,7 @@ def mark(block, stamp, now, i, j, k):
     changed[(i & 7) * SIDE + (j & 7)] |= np.uint8(1 << (k & 7))
     stamp.evidence = now
     stamp.shown = now
+    stamp.stored = now
 
 
 @inlined

@@ -1,4 +1,4 @@
-"""A whole memory as plain arrays, and back: what a map file holds (spec section 8)."""
+"""A whole memory as plain arrays and back into pools: what a map file holds (spec section 8)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from persem_ros.core.memory.evidence import add_evidence, count_classes, read_ev
 from persem_ros.core.memory.frame_table import FrameTable
 from persem_ros.core.memory.history import link_of
 from persem_ros.core.memory.pools import CHUNK, CLOCK, OBSERVATIONS, STORED, VOXELS
-from persem_ros.core.memory.voxel_memory import sort_order, VoxelMemory
+from persem_ros.core.memory.voxel_memory import VoxelMemory
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,40 +88,6 @@ class MemoryDump:
     frames: FrameTable
 
 
-def dump(memory: VoxelMemory) -> MemoryDump:
-    """Return the MemoryDump of a VoxelMemory; the arrays are copies."""
-    pools = memory.m
-    live = np.flatnonzero(pools.blocks['near'][:memory.n_blocks, 13])
-    order = live[sort_order(pools.blocks['index'][live])]
-    block, cell, number = _listing(memory, order)
-    records, beliefs = pools.voxels[number], memory.store.beliefs[number]
-    observations = records['n']
-    stored = observations.astype(np.int64) - records['first']
-    if memory.max_history:
-        stored = np.minimum(stored, memory.max_history)
-    evidence_start, history_start = (np.zeros(len(number) + 1, np.int64) for _ in range(2))
-    np.cumsum(stored, out=history_start[1:])
-    _class_counts(pools.voxels, pools.spills, number, evidence_start[1:])
-    np.cumsum(evidence_start, out=evidence_start)
-    evidence = np.empty(evidence_start[-1], np.uint16), np.empty(evidence_start[-1])
-    history = tuple(np.empty(history_start[-1], t) for t in (np.uint16, np.float32, np.int32))
-    where = np.empty((history_start[-1], 3), np.uint8)
-    _read(pools.voxels, pools.links, pools.spills, pools.offsets, number, evidence_start,
-          *evidence, history_start, *history, where)
-    counts = pools.blocks['count'][order].astype(np.int64)
-    return MemoryDump(
-        memory.voxel_size, memory.origin, memory.max_history, memory.session,
-        pools.blocks['index'][order], np.concatenate([[0], np.cumsum(counts)]),
-        cell.astype(np.uint16), observations, records['switches'], records['label'],
-        records['majority'], records['last'], records['first_label'], records['source'],
-        pools.blocks['changed'][block, cell >> 3] >> (cell & 7).astype(np.uint8) & 1,
-        records['gone'],
-        np.where(beliefs['label'] == records['label'], beliefs['posterior'], np.float32(0)),
-        evidence_start, *evidence, history_start, *history, where,
-        pools.starts.copy(), pools.changes.copy(), memory.seen_ids.copy(),
-        None if memory.rho is None else memory.rho.copy(), memory.frames.copy())
-
-
 def load(saved: MemoryDump) -> VoxelMemory:
     """Return a VoxelMemory that goes on exactly where the dumped one stood."""
     memory = VoxelMemory(saved.voxel_size, saved.origin, saved.max_history)
@@ -143,7 +109,8 @@ def load(saved: MemoryDump) -> VoxelMemory:
         memory.store.beliefs['label'][:n] = saved.label
     block = np.repeat(np.arange(len(saved.block_index)), np.diff(saved.block_start))
     memory.m.used[CLOCK] = 1
-    memory.m.stamps['shown'][:len(saved.block_index)] = 1
+    for stamp in ('shown', 'stored'):
+        memory.m.stamps[stamp][:len(saved.block_index)] = 1
     _mark_changed(memory.m.blocks, memory.m.stamps, block, saved.cell, saved.dirty)
     memory.m.used[OBSERVATIONS] = int(saved.observations.sum(dtype=np.int64))
     memory.m.used[STORED] = len(saved.history_frame)
@@ -155,15 +122,40 @@ def load(saved: MemoryDump) -> VoxelMemory:
     return memory
 
 
-def _listing(
-        memory: VoxelMemory, order: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return (block, cell, number) of all voxels, blocks in the given order."""
-    block, cell, number = memory.listing()
-    rank = np.empty(memory.n_blocks, np.int64)
-    rank[order] = np.arange(len(order))
-    by_rank = np.argsort(rank[block], kind='stable')
-    return block[by_rank], cell[by_rank], number[by_rank]
+def evidence_of_voxels(
+        memory: VoxelMemory, number: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.float64]]:
+    """Return start (n + 1,), classes and sums of the evidence of voxels, by their numbers."""
+    pools, start = memory.m, np.zeros(len(number) + 1, np.int64)
+    _class_counts(pools.voxels, pools.spills, number, start[1:])
+    np.cumsum(start, out=start)
+    classes, sums = np.empty(start[-1], np.uint16), np.empty(start[-1])
+    _read_evidence(pools.voxels, pools.spills, number, start, classes, sums)
+    return start, classes, sums
+
+
+def read_histories(memory: VoxelMemory, records: NDArray[np.void]) -> tuple[NDArray, ...]:
+    """
+    Return the histories of voxels as their (copied) records have them.
+
+    Any thread may do so while the map grows: links are only ever filled further.
+
+    Returns
+    -------
+    start : ndarray, shape (n + 1,), int64
+    labels, confidences, frames, offsets : ndarray
+        As MemoryDump has them.
+
+    """
+    stored = records['n'].astype(np.int64) - records['first']
+    if memory.kept_history:
+        stored = np.minimum(stored, memory.kept_history)
+    start = np.zeros(len(records) + 1, np.int64)
+    np.cumsum(stored, out=start[1:])
+    history = tuple(np.empty(start[-1], t) for t in (np.uint16, np.float32, np.int32))
+    where = np.empty((start[-1], 3), np.uint8)
+    _read_histories(memory.m.links, memory.m.offsets, records, start, *history, where)
+    return start, *history, where
 
 
 @kernel
@@ -174,14 +166,19 @@ def _class_counts(voxels, spills, number, counts):
 
 
 @kernel
-def _read(voxels, links, spills, offsets, number, evidence_start, classes, sums, history_start,
-          labels, confidences, frames, where):
-    """Copy evidence and histories of the voxels to the columns."""
+def _read_evidence(voxels, spills, number, start, classes, sums):
+    """Copy the evidence of the voxels to the columns."""
     for r in range(len(number)):
-        voxel = voxels[number[r]]
-        read_evidence(voxel, spills, classes, sums, evidence_start[r])
-        n, out = np.int64(voxel.n), history_start[r]
-        begin = n - (history_start[r + 1] - history_start[r])
+        read_evidence(voxels[number[r]], spills, classes, sums, start[r])
+
+
+@kernel
+def _read_histories(links, offsets, records, start, labels, confidences, frames, where):
+    """Copy the histories of the records to the columns."""
+    for r in range(len(records)):
+        voxel = records[r]
+        n, out = np.int64(voxel.n), start[r]
+        begin = n - (start[r + 1] - start[r])
         link = link_of(links, voxel.head, voxel.first, begin)
         for i in range(begin, n):
             if i > begin and i % CHUNK == 0:

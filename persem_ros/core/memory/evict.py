@@ -38,11 +38,12 @@ def keep_near(memory: VoxelMemory, position: tuple[float, float, float], radius:
     Returns
     -------
     int
-        Number of voxels dropped; 0 while a refinement is under way, which may still read them.
+        Number of voxels dropped; 0 while a refinement or a save is under way, which
+        may still read them.
 
     """
     crowded = 0 < max_voxels < memory.n_voxels
-    if memory.refinements or not memory.n_voxels or not (radius > 0 or crowded):
+    if memory.read_beside or not memory.n_voxels or not (radius > 0 or crowded):
         return 0
     blocks = memory.m.blocks[:memory.n_blocks]
     live = np.flatnonzero(blocks['near'][:, 13])
@@ -122,11 +123,13 @@ def _drop(pools, table, numbers):
                 beside[26 - d] = 0
                 near[d] = 0
                 stamps[other].evidence = used[CLOCK]
+                stamps[other].stored = used[CLOCK]
                 for row in range(ROWS):
                     marks[row] = 255
         for row in range(ROWS):
             changed[row] = 0
         stamps[b].evidence = 0
+        stamps[b].stored = 0
         stamps[b].shown = used[CLOCK]
         block.count = used[FIRST_BLOCK]
         used[FIRST_BLOCK] = b + 1

@@ -59,9 +59,10 @@ BLOCK = np.dtype([
     ('changed', 'u1', ROWS),        # a bit per cell: evidence changed since a refinement began
     ('count', 'u4')])
 # When a block last changed, in ticks of used[CLOCK]. A pool of its own: whoever wants to know what
-# changed since it last looked reads 16 bytes a block and not the blocks.
+# changed since it last looked reads 24 bytes a block and not the blocks.
 STAMP = np.dtype([('evidence', 'i8'),   # observed, or a neighbour was let go
-                  ('shown', 'i8')])     # that, or a label: what a viewer sees
+                  ('shown', 'i8'),      # that, or a label: what a viewer sees
+                  ('stored', 'i8')])    # anything that a map file holds
 
 # What kernels are handed. Records rather than an array per field: numba counts a reference each
 # time an array is taken out of a tuple, which made adding an observation 30 times slower.

@@ -17,6 +17,7 @@ from persem_ros.errors import PersemError
 
 if TYPE_CHECKING:
     from persem_ros.core.frame.observe import Observations
+    from persem_ros.core.memory.capture import Capture
     from persem_ros.core.memory.pools import Pools
 
 LAST_T = 2 ** 31 - 1        # histories keep t as int32
@@ -51,7 +52,8 @@ class VoxelMemory:
         self.seen_ids = np.zeros(65536, np.uint8)   # ids of all counted pixels (section 4)
         self.rho = None             # class volatility of the last full refinement
         self.refined_with = None    # settings of the last refinement; None: visit all next time
-        self.refinements = 0        # under way: their links must not be used again
+        self.refinements = 0        # under way
+        self.captures: set[Capture] = set()     # under way
         self.settled = 0            # tick up to which refinements were handed all changes
         self.sweep = None           # core.refine.sweep.Sweep: which blocks saw the present rho
         self.since_rho = 0          # refinements begun since rho was taken
@@ -66,6 +68,16 @@ class VoxelMemory:
     def m(self) -> Pools:
         """Return the pools' arrays, for kernels."""
         return self.store.arrays
+
+    @property
+    def read_beside(self) -> bool:
+        """Return whether other threads may read: no block may leave, no link be used again."""
+        return self.refinements > 0 or len(self.captures) > 0
+
+    @property
+    def kept_history(self) -> int:
+        """Return how many observations of a voxel are kept; 0: all."""
+        return self.max_history
 
     @property
     def n_voxels(self) -> int:
@@ -101,7 +113,7 @@ class VoxelMemory:
         n = len(observations.labels)
         self.store.check_room(n)
         self._make_room(n)
-        if self.refinements == 0:
+        if not self.read_beside:
             release_links(self.m.free, self.m.retired, self.m.used)
         offsets = observations.offsets
         if offsets is None:

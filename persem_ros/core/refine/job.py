@@ -162,7 +162,7 @@ def finish(job: Job, labels: NDArray[np.uint16], sources: NDArray[np.uint8], pos
     pools.used[CLOCK] += 1
     split(_enter, taken.refined, pools.voxels, pools.stamps, pools.used[CLOCK], taken.block,
           taken.number, taken.majority, labels, sources)
-    _believe(job.memory.store.beliefs, taken.number[:taken.refined], labels, posterior)
+    _believe(job.memory, taken, labels, posterior)
     job.memory.geometry = parameters
     job.memory.refinements -= 1
     return taken.refined
@@ -238,9 +238,15 @@ def _with(function: Any, scratch: np.dtype[Any]) -> Callable[..., Any]:
     return lambda begin, end, *arguments: function(begin, end, np.zeros(1, scratch), *arguments)
 
 
-def _believe(beliefs: Any, number: Any, labels: Any, posterior: Any) -> None:
+def _believe(memory: VoxelMemory, taken: Snapshot, labels: NDArray[np.uint16],
+             posterior: NDArray[np.float32]) -> None:
     """Note the posteriors of labels; where there are none, forget what was noted before."""
-    if posterior.any() or beliefs['posterior'][number].any():
+    beliefs, number = memory.store.beliefs, taken.number[:taken.refined]
+    before = beliefs['posterior'][number]
+    if posterior.any() or before.any():
+        other = taken.block[:taken.refined][before != posterior]
+        for stamp in ('shown', 'stored'):
+            memory.m.stamps[stamp][other] = memory.clock
         beliefs['posterior'][number] = posterior
         beliefs['label'][number] = labels
 
@@ -255,3 +261,4 @@ def _enter(begin, end, voxels, stamps, now, block, number, majority, labels, sou
             voxels[v].label = label
             voxels[v].source = sources[r]
             stamps[block[r]].shown = now
+            stamps[block[r]].stored = now

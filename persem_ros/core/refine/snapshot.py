@@ -103,8 +103,11 @@ def take(memory: VoxelMemory, neighbours: int | None = None, also: Any = ()) -> 
 
 def settle(memory: VoxelMemory) -> None:
     """Mark every voxel as unchanged: a refinement has been handed all changes so far."""
-    memory.m.blocks['changed'][memory.changed_blocks()] = 0
-    memory.settled = int(memory.m.used[CLOCK])
+    changed = memory.changed_blocks()
+    memory.m.blocks['changed'][changed] = 0
+    memory.settled = memory.clock
+    memory.m.used[CLOCK] += 1
+    memory.m.stamps['stored'][changed] = memory.clock
 
 
 def _changed(

@@ -21,7 +21,8 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.memory.dump import dump, load as load_memory, MemoryDump
+from persem_ros.core.memory.capture import dump
+from persem_ros.core.memory.dump import load as load_memory, MemoryDump
 from persem_ros.core.memory.pools import SIDE
 from persem_ros.errors import PersemError
 from persem_ros.guard.database import check_tables, checked, opened
