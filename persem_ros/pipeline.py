@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.frame import images
 from persem_ros.core.frame.observe import gather
-from persem_ros.core.frame.render import filled, render, voxel_image, voxel_image_of
+from persem_ros.core.frame.render import filled, render_map, voxel_image, voxel_image_of
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine.job import begin_next, finish, refine
 from persem_ros.frames import UNKNOWN
@@ -73,8 +73,7 @@ class Pipeline:
 
         """
         voxels = self.voxel_image(frame, observations)
-        image = render(voxels, np.ascontiguousarray(
-            self.memory.m.voxels['label'][:self.memory.n_numbers]))
+        image = render_map(self.memory, voxels)
         return filled(images.on_labels(frame, image, UNKNOWN), frame.labels, self.config.memory,
                       self.config.render.fill, self.unknown)
 

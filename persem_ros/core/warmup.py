@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 from persem_ros.core.frame.images import placed, points
 from persem_ros.core.frame.observe import observe
-from persem_ros.core.frame.render import render, voxel_image, voxel_image_of
+from persem_ros.core.frame.render import render, render_map, voxel_image, voxel_image_of
 from persem_ros.core.frame.smoothing import EmaImages
 from persem_ros.core.jit import keep_memory, mark_complete
 from persem_ros.core.memory.capture import dump
+from persem_ros.core.memory.changes import Changes
 from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.evict import keep_near
 from persem_ros.core.memory.voxel_memory import VoxelMemory
@@ -53,6 +54,8 @@ def warm_up() -> None:
     regions(memory)
     labelled = label(memory, 'majority', Refine())[0]
     render(voxel_image(memory, seen, depth.shape), labelled)
+    render_map(memory, voxel_image(memory, seen, depth.shape), source=True)
+    Changes().take(memory)
     pixels = placed(frame, Memory(), memory.voxel_size, memory.origin)
     render(voxel_image_of(memory, *pixels, depth.shape), labelled)
     EmaImages(0.5).update(labels)

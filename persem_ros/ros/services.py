@@ -3,6 +3,7 @@
 from concurrent.futures import ThreadPoolExecutor
 import logging
 
+from persem_ros.core.memory.capture import Capture
 from persem_ros.errors import PersemError
 from persem_ros.ros.map_file import path_of
 from persem_ros.ros.wording import as_ros
@@ -45,10 +46,8 @@ class Services:
         return f'refined {visited} voxels in {took:.3f} s'
 
     def save_map(self):
-        """Save to map.path; only copying the map keeps the worker from mapping."""
-        worker = self._worker
-        return self._map_file.save(worker.config, lambda: worker.call(
-            lambda: self._map_file.copied(worker.memory)).result())
+        """Save to map.path; the worker copies what is needed in slices between frames."""
+        return self._map_file.save(self._worker.config, self._captured)
 
     def load_map(self):
         """Load map.path in place of the map."""
@@ -71,6 +70,20 @@ class Services:
     def close(self):
         """Wait for what is under way."""
         self._threads.shutdown()
+
+    def _captured(self):
+        """Return what MapFile.copied() does."""
+        worker = self._worker
+
+        def begin():
+            return Capture(worker.memory), worker.memory, worker.statistics.forgotten
+        capture, memory, forgotten = worker.call(begin).result()
+        try:
+            while not worker.call(capture.step).result():
+                pass
+            return capture.dump(), memory, forgotten
+        finally:
+            capture.close()
 
     def _pause(self, paused, word):
         def change():

@@ -9,7 +9,7 @@ import threading
 import time
 
 import numpy as np
-from persem_ros.core.frame.render import render
+from persem_ros.core.frame.render import render_map
 from persem_ros.core.jit import Announcement
 from persem_ros.core.memory.evict import keep_near
 from persem_ros.core.warmup import warm_up
@@ -25,6 +25,7 @@ from persem_ros.ros.refiner import Refiner
 log = logging.getLogger(__name__)
 TICK = 0.05             # s between two looks at frames that wait for what does not come
 TRIM = 0.5              # s between two looks at what is too far away
+AT_ONCE = 20_000        # voxels that are forgotten between two frames
 THROTTLE = 5.0          # s between two warnings for one reason
 NOT_READY = 'came before the node was ready'
 LOOK = 0.1              # s between two looks at who listens to the map
@@ -69,7 +70,6 @@ class Worker(threading.Thread):
         self._mapped = self._trimmed = self._looked = self._changed = time.monotonic()
         self._stale = set()         # what the map's topics have not shown yet: 'map', 'changes'
         self._unrefined = memory is not None    # whether a full refinement would find anything
-        self._listening = set()
         self._shown = False         # an empty map is shown only after one that was not
         self._stamp = 0             # of the last frame
         self._warned = {}           # reason -> when
@@ -276,17 +276,18 @@ class Worker(threading.Thread):
                 not (bounds.max_voxels or bounds.keep_radius) or \
                 time.monotonic() - self._trimmed < TRIM:
             return
-        self._trimmed = time.monotonic()
-        gone = keep_near(self.memory, self._position, bounds.keep_radius, bounds.max_voxels)
-        if gone:
+        gone = keep_near(self.memory, self._position, bounds.keep_radius, bounds.max_voxels,
+                         AT_ONCE)
+        if not gone:
+            self._trimmed = time.monotonic()
+        else:
             self.statistics.forgotten += gone
             self._stale |= {'map', 'changes'}
 
     def _sources(self, frame, observations):
         """Return which step decided each pixel of the depth grid, uint8."""
         voxels = self.pipeline.voxel_image(frame, observations)
-        sources = self.memory.m.voxels['source'][:self.memory.n_numbers].astype(np.uint16)
-        image = render(voxels, sources)
+        image = render_map(self.memory, voxels, source=True)
         return np.where(voxels < 0, NO_SOURCE, image).astype(np.uint8)
 
     def _answer(self, future, function, arguments):
@@ -341,26 +342,29 @@ class Worker(threading.Thread):
             return
         self._looked = now
         wanted, new = self.map.wanted()
-        self._stale |= new & {'map'}
-        if 'changes' in wanted - self._listening:   # whoever comes first is told everything
+        if not wanted:
             self.map.forget()
+            return
+        self._stale |= new
+        if self.map.waiting:
             self._stale.add('changes')
-        self._listening = wanted
         due = wanted & self._stale
         rate = self.config.map.rate
         if not rate or now - self._mapped < 1.0 / rate:
             due.discard('map')
         if self.inbox.bytes and now - self._changed < CHANGES:      # nothing is late for them
             due.discard('changes')
-        if not due or not self.memory.n_voxels and not self._shown:
+        if not due and self.map.whole or not self.memory.n_voxels and not self._shown:
             return
+        if self.memory.frames:
+            self._stamp = self.memory.frames[-1].stamp
+        due = self.map.publish(due, 'changes' in new, self.memory, self._stamp, self._position,
+                               self.config.map)
         if 'map' in due:
             self._mapped = now
         if 'changes' in due:
             self._changed = now
         self._shown = True
         self._stale -= due
-        if self.memory.frames:
-            self._stamp = self.memory.frames[-1].stamp
-        self.map.publish(due, self.memory.columns(), self.memory.voxel_size, self._stamp,
-                         self._position - self.memory.origin, self.config.map)
+        if not self.map.whole:
+            self._stale.add('changes')

@@ -278,8 +278,11 @@ class Map:
     save: bool = setting(False, 'save to map.path at the end (node)')
     rate: float = setting(0.5, 'how often ~/map is published where it changed (node); 0: never',
                           'Hz', 0.0, 50.0)
-    max_voxels: int = setting(0, 'voxels in ~/map, the most observed ones (node); 0: all',
-                              'voxels', 0, 1 << 32)
+    max_voxels: int = setting(0, 'voxels in ~/map (node: 2 000 000); 0: all', 'voxels', 0,
+                              1 << 32)
+    show: str = setting(
+        'nearest', 'voxels that ~/map shows where there are more than map.max_voxels: the nearest or '
+        'the most observed ones (node)', choices=('nearest', 'observed'))
     min_observations: int = setting(1, 'voxels with fewer are left out of ~/map (node)',
                                     'observations', 1, 1 << 20)
     crop: float = setting(

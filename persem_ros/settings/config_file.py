@@ -14,7 +14,8 @@ from persem_ros.settings.parameter_file import parse, read, read_text, scalar
 if TYPE_CHECKING:
     from pathlib import Path
 
-NODE_DEFAULTS = {'memory.max_history': 128}     # where the node's default is another
+# Where the node's default is another.
+NODE_DEFAULTS = {'memory.max_history': 128, 'map.max_voxels': 2_000_000}
 HEADER = 'Settings of persem_ros, read by the node and by the command line (--config).'
 
 

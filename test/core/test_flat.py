@@ -31,7 +31,7 @@ def at_once(request, monkeypatch):
 @pytest.mark.usefixtures('at_once')
 @given(worlds(most_frames=20), refinements(), st.sampled_from(sorted(SWEPT)), st.integers(1, 9),
        st.integers(1, 6))
-@examples(max_examples=60)
+@examples(max_examples=15)
 def test_a_sweep_that_has_ended_equals_a_full_run(frames, settings, method, slice_, every):
     settings = replace(settings, method=method, sweep=slice_, volatility_every=every)
     memory = core_of([])
@@ -146,7 +146,7 @@ def test_stamps_tell_what_a_viewer_has_not_seen():
 
 
 @given(seeds, st.integers(2, 400))
-@examples(max_examples=30)
+@examples(max_examples=10)
 def test_blocks_that_leave_the_hash_table_leave_the_others_in_it(seed, n):
     rng, memory = np.random.default_rng(seed), VoxelMemory(0.5)
     known = set()

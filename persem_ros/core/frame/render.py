@@ -65,6 +65,16 @@ def render(voxels: NDArray[np.int32], labels: NDArray[np.uint16]) -> NDArray[np.
     return image
 
 
+def render_map(memory: VoxelMemory, voxels: NDArray[np.int32], source: bool = False,
+               ) -> NDArray[np.uint16]:
+    """Return the same by the map's own labels (or sources); only the pixels' voxels are read."""
+    voxels = np.require(voxels, np.int32, 'CW')
+    image = np.empty(voxels.shape, np.uint16)
+    split(_label_of, voxels.size, voxels.reshape(-1), memory.m.voxels, source, image.reshape(-1),
+          grain=65536)
+    return image
+
+
 def filled(image: NDArray[np.uint16], labels: NDArray[np.int32], settings: Memory,
            fill: str = 'input', unknown: int = UNKNOWN) -> NDArray[np.int32]:
     """
@@ -134,6 +144,17 @@ def _find(begin, end, blocks, table, keys, base, image):
         if b >= 0:
             cells = blocks[b].cells
             image[p] = np.int64(cells[((i & 7) * SIDE + (j & 7)) * SIDE + (k & 7)]) - 1
+
+
+@kernel
+def _label_of(begin, end, image, voxels, source, out):
+    """Write the label, or the source of the label, of each pixel's voxel."""
+    for p in range(begin, end):
+        v = image[p]
+        if v < 0:
+            out[p] = UNKNOWN
+        else:
+            out[p] = voxels[v].source if source else voxels[v].label
 
 
 @kernel

@@ -88,14 +88,6 @@ def make_block(blocks, used, table, bi, bj, bk):
 
 
 @kernel
-def rehash(blocks, used, table):
-    """Enter every block into the empty *table*."""
-    for b in range(used[BLOCKS]):
-        if blocks[b].near[13] == b + 1:     # not a dropped one
-            insert_block(blocks, table, b)
-
-
-@kernel
 def find_voxels(start, stop, blocks, table, voxels, out):
     """Write the voxel number of each row of voxels (n, 3) int32 to out (n,) int64; -1: none."""
     seen = np.int64(-1)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def keep_near(memory: VoxelMemory, position: tuple[float, float, float], radius: float = 0.0,
-              max_voxels: int = 0) -> int:
+              max_voxels: int = 0, at_once: int = 0) -> int:
     """
     Drop the blocks farther than *radius* from *position*, then the farthest beyond *max_voxels*.
 
@@ -34,6 +34,8 @@ def keep_near(memory: VoxelMemory, position: tuple[float, float, float], radius:
     max_voxels : int
         0: no limit. When there are more, a tenth more than necessary goes, so that not every
         frame has to drop some.
+    at_once : int
+        Voxels that one call drops, the farthest; 0: no limit. The last block may exceed it.
 
     Returns
     -------
@@ -51,28 +53,34 @@ def keep_near(memory: VoxelMemory, position: tuple[float, float, float], radius:
     away = (blocks['index'][live] + 0.5) * edge - (np.asarray(position) - memory.origin)
     distance = np.linalg.norm(away, axis=1)
     order = np.argsort(-distance, kind='stable')
+    counts = blocks['count'][live[order]].astype(np.int64)
+    before = np.cumsum(counts) - counts     # voxels that lie farther
     dropped = np.zeros(len(live), bool)
     if radius > 0:
-        dropped |= distance > radius
+        dropped |= distance[order] > radius
     if crowded:
-        counts = blocks['count'][live[order]].astype(np.int64)
-        excess = memory.n_voxels - int(0.9 * max_voxels)
-        dropped[order[np.cumsum(counts) - counts < excess]] = True
+        dropped |= before < memory.n_voxels - int(0.9 * max_voxels)
+    if at_once > 0:
+        dropped &= before < at_once
     if not dropped.any():
         return 0
-    before = memory.n_voxels
-    drop(memory, live[dropped])
-    return before - memory.n_voxels
+    voxels = memory.n_voxels
+    drop(memory, live[order[dropped]])
+    return voxels - memory.n_voxels
 
 
 def drop(memory: VoxelMemory, numbers: NDArray[np.int64]) -> None:
     """
-    Drop whole blocks by number, when no refinement is under way.
+    Drop whole blocks by number, when nobody reads beside.
 
     What lies beside them has other neighbours now and counts as changed.
 
     """
     numbers = np.asarray(numbers, np.int64)
+    index = memory.m.blocks['index'][numbers]
+    for viewer in memory.viewers:
+        viewer.gone.append((False, index))
+    memory.growth = None
     cells = memory.m.blocks['cells'][numbers]
     memory.store.beliefs['posterior'][cells[cells > 0] - 1] = 0.0
     _drop(memory.m, memory.table, numbers)

@@ -9,8 +9,10 @@ import uuid
 
 import numpy as np
 from numpy.typing import NDArray
+from persem_ros.core.memory.pools import sparse_zeros
 
-FEW = 64            # rows of a fresh table
+FEW = 64            # rows of fresh tables
+ROOM = 1 << 18      # rows of the frame table for which there is address space, seven hours
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +148,7 @@ class FrameTable:
         self._sensor[f] = self.sensors.index(sensor)
         self._placed[f] = T_map_sensor
         if T_map_best is not None and self._best is None:
-            self._best = self._placed.copy()
+            self._best = _longer(self.placed, len(self._placed))
         if self._best is not None:
             self._best[f] = T_map_sensor if T_map_best is None else T_map_best
         self._n = f + 1
@@ -165,7 +167,7 @@ class FrameTable:
         self._sensor[f:end] = [code[name] for name in sensor]
         self._placed[f:end] = placed
         if best is not None and self._best is None:
-            self._best = self._placed.copy()
+            self._best = _longer(self.placed, len(self._placed))
         if self._best is not None:
             self._best[f:end] = placed if best is None else best
         self._n = end
@@ -175,7 +177,7 @@ class FrameTable:
         other = FrameTable()
         other.__dict__.update(self.__dict__, sensors=list(self.sensors),
                               sessions=dict(self.sessions))
-        other._freeze()
+        other._freeze()         # the room behind the rows is ours
         return other
 
     def replace_poses(self, placed: NDArray[np.float64], best: NDArray[np.float64]) -> None:
@@ -189,7 +191,7 @@ class FrameTable:
         return sum(a[:self._n].nbytes for a in rows if a is not None)
 
     def _freeze(self) -> None:
-        """Let the next frame begin new arrays: the room behind the rows is another table's."""
+        """Let the next frame begin new arrays."""
         n = self._n
         self._t, self._session, self._sensor, self._stamp, self._placed = (
             self._t[:n], self._session[:n], self._sensor[:n], self._stamp[:n], self._placed[:n])
@@ -197,7 +199,8 @@ class FrameTable:
             self._best = self._best[:n]
 
     def _grow(self, rows: int) -> None:
-        """Make room for *rows* frames in new arrays."""
+        """Make room for *rows* frames, and for many more, in new arrays."""
+        rows = max(rows, ROOM)
         self._t = _longer(self._t, rows)
         self._session = _longer(self._session, rows)
         self._sensor = _longer(self._sensor, rows)
@@ -252,6 +255,6 @@ def session_uuid(*content: object) -> str:
 
 def _longer(column: NDArray, rows: int) -> NDArray:
     """Return a copy of a column with room for *rows* rows."""
-    fresh = np.empty((max(rows, FEW), *column.shape[1:]), column.dtype)
+    fresh = sparse_zeros((max(rows, FEW), *column.shape[1:]), column.dtype)
     fresh[:len(column)] = column
     return fresh

@@ -8,16 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.jit import kernel, split
 from persem_ros.core.memory.append import add_observations, release_links
-from persem_ros.core.memory.blocks import find_voxels, list_voxels, new_table, rehash
+from persem_ros.core.memory.blocks import find_voxels, list_voxels, new_table
 from persem_ros.core.memory.evidence import read_evidence
 from persem_ros.core.memory.frame_table import FrameTable, Session, session_uuid, Stamps
+from persem_ros.core.memory.growth import Growth
 from persem_ros.core.memory.pools import (
-    BLOCKS, CENTRE, CHUNK, CLOCK, FREE_VOXELS, OBSERVATIONS, Store, STORED, VOXELS)
+    BLOCKS, CENTRE, CHUNK, CLOCK, FREE_BLOCKS, FREE_VOXELS, OBSERVATIONS, Store, STORED, VOXELS)
 from persem_ros.errors import PersemError
 
 if TYPE_CHECKING:
     from persem_ros.core.frame.observe import Observations
     from persem_ros.core.memory.capture import Capture
+    from persem_ros.core.memory.changes import Changes
     from persem_ros.core.memory.pools import Pools
 
 LAST_T = 2 ** 31 - 1        # histories keep t as int32
@@ -54,6 +56,8 @@ class VoxelMemory:
         self.refined_with = None    # settings of the last refinement; None: visit all next time
         self.refinements = 0        # under way
         self.captures: set[Capture] = set()     # under way
+        self.viewers: set[Changes] = set()      # who wants to know which blocks left
+        self.growth: Growth | None = None       # the next hash table, under way
         self.settled = 0            # tick up to which refinements were handed all changes
         self.sweep = None           # core.refine.sweep.Sweep: which blocks saw the present rho
         self.since_rho = 0          # refinements begun since rho was taken
@@ -120,8 +124,11 @@ class VoxelMemory:
             offsets = np.full((n, 3), CENTRE, np.uint8)
         f = self._enter(observations)
         rows = np.empty(n, np.int64)
+        free = self.m.used[FREE_BLOCKS]
         add_observations(self.m, self.table, observations.voxels, observations.labels,
                          observations.confidences, offsets, f, self.max_history, rows)
+        if self.m.used[FREE_BLOCKS] != free:
+            self.growth = None
         self.seen_ids[observations.ids] = 1
         return rows
 
@@ -280,10 +287,14 @@ class VoxelMemory:
 
     def _make_room(self, blocks: int) -> None:
         """Let the hash table hold *blocks* more blocks at most half full."""
-        needed = self.n_blocks + blocks
-        if 2 * needed > len(self.table):
-            self.table = new_table(2 * needed)
-            rehash(self.m.blocks, self.m.used, self.table)
+        needed = self.n_blocks - int(self.m.used[FREE_BLOCKS]) + blocks
+        if 3 * needed <= len(self.table):
+            return
+        full = 2 * needed > len(self.table)
+        if self.growth is None or full and 2 * needed > len(self.growth.table):
+            self.growth = Growth(2 * needed)
+        if self.growth.step(self.m, *([self.n_blocks] if full else [])):
+            self.table, self.growth = self.growth.table, None
 
     def _enter(self, seen: Any) -> Any:
         """Enter the frame of some Observations into the table; return its row f."""
