@@ -11,6 +11,7 @@ import sys
 import tempfile
 import time
 
+import flat
 import numpy as np
 from persem_ros.core import jit
 from persem_ros.core.memory.voxel_memory import stored_observations
@@ -41,6 +42,7 @@ def main():
     rows += rendering(big)
     rows += memory_use(big)
     rows += scaling(big)
+    rows += away(big)
     if not args.quick:
         rows += replays()
     report(big, rows)
@@ -171,6 +173,21 @@ def scaling(big):
     return [row('integrate one frame in 10^4, 10^6, 3 * 10^6 voxels',
                 ', '.join(f'{m:.1f}' for m in medians) + f' ms: {ratio:.2f} x', '<= 1.5 x',
                 ratio <= 1.5)]
+
+
+def away(big):
+    """Do all that happens beside frames in maps of 10^5, 10^6 and 10^7 voxels."""
+    found = [flat.flight(CONFIG, size, big.last, time.perf_counter) for size in flat.SIZES]
+    frames = [median_ms(one.seconds['frame']) for one in found]
+    worst, p99 = ([measure(one) for one in found] for measure in (flat.Away.worst, flat.Away.p99))
+    ratio = max(frames) / min(frames)
+    return [row('a frame beside all else in 10^5, 10^6, 10^7 voxels',
+                ', '.join(f'{m:.1f}' for m in frames) + f' ms: {ratio:.2f} x', '<= 1.5 x',
+                ratio <= 1.5),
+            row('away from frames there: p99', ', '.join(f'{m:.1f}' for m in p99) + ' ms', '',
+                None),
+            row('away from frames there: at worst', ', '.join(f'{m:.1f}' for m in worst) + ' ms',
+                '<= 30 ms', max(worst) <= 30)]
 
 
 def replays():

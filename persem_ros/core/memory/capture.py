@@ -22,8 +22,9 @@ from persem_ros.core.memory.voxel_memory import sort_order
 if TYPE_CHECKING:
     from persem_ros.core.memory.voxel_memory import VoxelMemory
 
-SLICE = 100_000     # voxels that are copied at once: some 10 ms
-PATIENCE = 1.05     # how much larger each slice may be, so that the end comes
+SLICE = 40_000      # voxels that are copied at once: some 5 ms
+LAST = 60_000       # so many may be left at the end, which are copied at once
+PATIENCE = 1.5      # how many times more after each time that more were left
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,23 +68,26 @@ class Capture:
         self._memory, self._since = memory, -1 if since is None else since
         self._copied = sparse_zeros(max(1, memory.n_blocks), np.int64)
         self._slices: list[_Slice] = []
-        self._most = float(SLICE)
+        self._most = float(LAST)
         self.moment = 0
         memory.captures.add(self)
 
     def step(self, voxels: float | None = None) -> bool:
         """Copy the next slice, of *voxels* voxels at most; return whether it was the last."""
         memory = self._memory
-        most = self._most if voxels is None else voxels
-        due = self._due()
+        due, fresh = self._due()
         counts = memory.m.blocks['count'][due].astype(np.int64)
-        ended = counts.sum() <= most
+        ended = counts.sum() <= (self._most if voxels is None else voxels)
         if not ended:
+            if len(fresh):
+                due, counts = fresh, memory.m.blocks['count'][fresh].astype(np.int64)
+            else:
+                self._most *= PATIENCE
+            most = SLICE if voxels is None else voxels
             n = max(1, int(np.searchsorted(np.cumsum(counts), most)))
             due, counts = due[:n], counts[:n]
         self._slices.append(_copied(memory, due, counts))
         self._copied[due] = memory.clock + 1
-        self._most *= PATIENCE
         if ended:
             self._small = (
                 memory.session, memory.m.starts.copy(), memory.m.changes.copy(),
@@ -123,8 +127,8 @@ class Capture:
         """Read nothing more of the map."""
         self._memory.captures.discard(self)
 
-    def _due(self) -> NDArray[np.int64]:
-        """Return the numbers of the blocks that are still to be copied."""
+    def _due(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the numbers of the blocks to be copied, and of those never copied so far."""
         memory = self._memory
         n = memory.n_blocks
         if n > len(self._copied):
@@ -133,7 +137,8 @@ class Capture:
             self._copied = copied
         copied, stamps = self._copied[:n], memory.m.stamps['stored'][:n]
         due = np.flatnonzero((stamps > self._since) & (stamps >= copied))
-        return due[memory.m.blocks['near'][due, 13] > 0]
+        due = due[memory.m.blocks['near'][due, 13] > 0]
+        return due, due[copied[due] == 0]
 
 
 def dump(memory: VoxelMemory) -> MemoryDump:

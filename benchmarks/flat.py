@@ -1,0 +1,110 @@
+"""What the mapping thread does beside frames, in maps of any size (spec section 9, *Flat*)."""
+
+import argparse
+from concurrent.futures import ThreadPoolExecutor
+import time
+
+import numpy as np
+from persem_ros.core import jit
+from persem_ros.core.memory.capture import Capture
+from persem_ros.core.memory.changes import Changes
+from persem_ros.core.refine.job import begin_next, finish
+from persem_ros.core.refine.snapshot import settle
+from persem_ros.outputs.map.mirror import Mirror
+from persem_ros.pipeline import Pipeline
+from persem_ros.settings.config import Map
+from persem_ros.settings.legend import Legend
+import scenes
+
+SIZES = 10 ** 5, 10 ** 6, 10 ** 7
+PUBLISH = 5         # frames between two publications
+
+
+class Away:
+    """How long the mapping thread was away from frames, by what for."""
+
+    def __init__(self, clock):
+        """Start with nothing; clock() gives seconds."""
+        self.seconds, self._clock = {}, clock
+
+    def time(self, name, function, *arguments):
+        """Call a function and note how long it took."""
+        begin = self._clock()
+        result = function(*arguments)
+        self.seconds.setdefault(name, []).append(self._clock() - begin)
+        return result
+
+    def worst(self):
+        """Return the longest of all but frames, ms."""
+        return 1e3 * max(max(s) for name, s in self.seconds.items() if name != 'frame')
+
+    def p99(self):
+        """Return the 99th percentile of all but frames, ms."""
+        return 1e3 * np.percentile(np.concatenate(
+            [s for name, s in self.seconds.items() if name != 'frame']), 99)
+
+
+def flight(config, size, frames, clock, rounds=3):
+    """Map frames in a map of *size* voxels as a node does, with everybody listening."""
+    pipeline, away = Pipeline(config), Away(clock)
+    memory, changes = pipeline.memory, Changes()
+    scenes.fill(memory, size)
+    settle(memory)              # as if all had been refined
+    mirror, job, capture = Mirror(memory.voxel_size, Legend()), None, None
+    with ThreadPoolExecutor(3) as beside:
+        published = saved = None
+        for k in range(rounds * len(frames)):
+            frame = frames[k % len(frames)]
+            away.time('frame', pipeline.add, frame)
+            away.time('render', pipeline.render, frame)
+            if job is None:
+                job = away.time('begin a refinement', begin_next, memory, config.refine)
+                result = beside.submit(job.compute)
+            elif result.done():
+                away.time('finish a refinement', finish, job, *result.result())
+                job = None
+            if k % PUBLISH == 0 and (published is None or published.done()):
+                centre = frame.T_map_camera[:3, 3]
+                changed = away.time('copy what changed', changes.take, memory, centre)
+                published = beside.submit(_publish, mirror, changed, centre)
+            if capture is None and (saved is None or saved.done()):
+                capture = away.time('begin a save', Capture, memory)
+            elif capture is not None and away.time('copy for a save', capture.step):
+                saved, capture = beside.submit(capture.dump), None
+        if job is not None:
+            finish(job, *result.result())
+    return away
+
+
+def _publish(mirror, changed, centre):
+    """Do what happens beside the mapping."""
+    mirror.update(changed)
+    mirror.difference(centre, 100_000)
+    if mirror.complete:
+        mirror.shown(centre, Map(max_voxels=2_000_000))
+
+
+def main():
+    """Measure all sizes and print each part."""
+    from persem_ros.core.warmup import warm_up
+    from persem_ros.settings.config import Config
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--cpu', action='store_true',
+                        help="the thread's processor time, for a machine that others use, too")
+    args = parser.parse_args()
+    clock = time.perf_counter
+    if args.cpu:
+        clock = time.thread_time
+        jit.set_threads(1)
+    warm_up()
+    frames = list(scenes.frames(scenes.flight(frames=20, rate=3.0)))
+    for size in SIZES:
+        away = flight(Config(), size, frames, clock)
+        print(f'{size:>9} voxels: away {away.worst():.1f} ms at worst, p99 {away.p99():.1f} ms')
+        for name, seconds in away.seconds.items():
+            print(f'    {name:<20} median {1e3 * np.median(seconds):6.2f} ms, worst '
+                  f'{1e3 * max(seconds):6.2f} ms ({len(seconds)})')
+
+
+if __name__ == '__main__':
+    main()
