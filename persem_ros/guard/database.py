@@ -24,19 +24,31 @@ class Unsafe(ValueError):
     """What a file holds that no honest one does: a few words."""
 
 
-def opened(path: str | Path, check_same_thread: bool = True) -> sqlite3.Connection:
+def opened(path: str | Path, check_same_thread: bool = True, living: bool = False,
+           ) -> sqlite3.Connection:
     """
     Open a database read-only: no lock, no journal, nothing is ever written beside it.
 
-    What is read costs at most a number of steps that the file's size sets (limit_steps).
+    What is read costs at most a number of steps that the file's size sets (limit_steps). A
+    *living* one that has a write-ahead log beside it is read together with that.
 
     """
     path = Path(path)
-    db = sqlite3.connect(f'file:{quote(str(path.resolve()))}?mode=ro&immutable=1', uri=True,
+    rights = 'mode=ro' if living and held_by(path) > path.stat().st_size else 'mode=ro&immutable=1'
+    db = sqlite3.connect(f'file:{quote(str(path.resolve()))}?{rights}', uri=True,
                          check_same_thread=check_same_thread)
     harden(db)
-    limit_steps(db, path.stat().st_size)
+    limit_steps(db, held_by(path) if living else path.stat().st_size)
     return db
+
+
+def held_by(path: Path) -> int:
+    """Return the bytes of a database and its write-ahead log."""
+    size = path.stat().st_size
+    try:
+        return size + Path(f'{path}-wal').stat().st_size
+    except OSError:
+        return size
 
 
 def harden(db: sqlite3.Connection) -> None:

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.jit import kernel
-from persem_ros.core.memory.append import new_link, write, write_offset
+from persem_ros.core.memory.append import new_link, take_voxel, write, write_offset
 from persem_ros.core.memory.blocks import make_block, new_table
 from persem_ros.core.memory.evidence import add_evidence, count_classes, read_evidence
 from persem_ros.core.memory.frame_table import FrameTable
 from persem_ros.core.memory.history import link_of
-from persem_ros.core.memory.pools import CHUNK, CLOCK, OBSERVATIONS, STORED, VOXELS
+from persem_ros.core.memory.pools import CHUNK, CLOCK, OBSERVATIONS, STORED
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 
 
@@ -88,38 +88,74 @@ class MemoryDump:
     frames: FrameTable
 
 
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Some blocks with their voxels: the columns of a MemoryDump that go by block and voxel."""
+
+    block_index: np.ndarray
+    block_start: np.ndarray
+    cell: np.ndarray
+    observations: np.ndarray
+    switches: np.ndarray
+    label: np.ndarray
+    majority: np.ndarray
+    last: np.ndarray
+    first_label: np.ndarray
+    source: np.ndarray
+    dirty: np.ndarray
+    gone: np.ndarray
+    posterior: np.ndarray
+    evidence_start: np.ndarray
+    evidence_class: np.ndarray
+    evidence_sum: np.ndarray
+    history_start: np.ndarray
+    history_label: np.ndarray
+    history_confidence: np.ndarray
+    history_frame: np.ndarray
+    history_offset: np.ndarray
+
+
 def load(saved: MemoryDump) -> VoxelMemory:
     """Return a VoxelMemory that goes on exactly where the dumped one stood."""
     memory = VoxelMemory(saved.voxel_size, saved.origin, saved.max_history)
-    n = len(saved.cell)
-    memory.store.check_room(len(saved.history_frame) // CHUNK + 2 * n + len(saved.evidence_sum))
     memory.table = new_table(len(saved.block_index) + 512)
-    _write(memory.m, memory.table, saved.block_index, saved.block_start, saved.cell,
-           saved.observations, saved.evidence_start, saved.evidence_class, saved.evidence_sum,
-           saved.history_start, saved.history_label, saved.history_confidence, saved.history_frame,
-           saved.history_offset)
-    voxels = memory.m.voxels[:n]
-    for field, column in (('switches', saved.switches), ('label', saved.label),
-                          ('majority', saved.majority), ('last', saved.last),
-                          ('first_label', saved.first_label), ('source', saved.source),
-                          ('gone', saved.gone)):
-        voxels[field] = column
-    if saved.posterior.any():
-        memory.store.beliefs['posterior'][:n] = saved.posterior
-        memory.store.beliefs['label'][:n] = saved.label
-    block = np.repeat(np.arange(len(saved.block_index)), np.diff(saved.block_start))
+    blocks = enter(memory, saved)
     memory.m.used[CLOCK] = 1
     for stamp in ('shown', 'stored'):
-        memory.m.stamps[stamp][:len(saved.block_index)] = 1
-    _mark_changed(memory.m.blocks, memory.m.stamps, block, saved.cell, saved.dirty)
+        memory.m.stamps[stamp][blocks] = 1
+    memory.m.stamps['evidence'][blocks] = memory.m.blocks['changed'][blocks].any(axis=1)
     memory.m.used[OBSERVATIONS] = int(saved.observations.sum(dtype=np.int64))
-    memory.m.used[STORED] = len(saved.history_frame)
+    take_over(memory, saved)
+    return memory
+
+
+def take_over(memory: VoxelMemory, saved: MemoryDump) -> None:
+    """Have a memory go on with a dump's counters and frames, whatever blocks are in memory."""
     memory.m.starts[:] = saved.starts
     memory.m.changes[:] = saved.changes
     memory.seen_ids[:] = saved.seen_ids
     memory.rho = None if saved.rho is None else saved.rho.copy()
     memory.resume(saved.frames, saved.session)
-    return memory
+
+
+def enter(memory: VoxelMemory, saved: Blocks | MemoryDump) -> NDArray[np.int64]:
+    """Enter blocks that are not in memory, with all marks but no stamps; return their numbers."""
+    n, block = len(saved.cell), np.empty(len(saved.block_index), np.int64)
+    number = np.empty(n, np.int64)
+    memory.make_room(len(block), len(saved.history_frame) // CHUNK + 2 * n
+                     + len(saved.evidence_sum))
+    _write(memory.m, memory.table, saved.block_index, saved.block_start, saved.cell,
+           saved.observations, saved.evidence_start, saved.evidence_class, saved.evidence_sum,
+           saved.history_start, saved.history_label, saved.history_confidence, saved.history_frame,
+           saved.history_offset, saved.dirty, block, number)
+    memory.growth = None        # some may have the numbers of blocks that left
+    for field in ('switches', 'label', 'majority', 'last', 'first_label', 'source', 'gone'):
+        memory.m.voxels[field][number] = getattr(saved, field)
+    if saved.posterior.any():
+        memory.store.beliefs['posterior'][number] = saved.posterior
+        memory.store.beliefs['label'][number] = saved.label
+    memory.m.used[STORED] += len(saved.history_frame)
+    return block
 
 
 def evidence_of_voxels(
@@ -195,19 +231,25 @@ def _read_histories(links, offsets, records, start, labels, confidences, frames,
 
 @kernel
 def _write(pools, table, index, block_start, cell, observations, evidence_start, classes, sums,
-           history_start, labels, confidences, frames, where):
-    """Fill empty pools from the columns; voxel numbers become row numbers."""
+           history_start, labels, confidences, frames, where, dirty, made, number):
+    """Fill pools from the columns; made and number receive the blocks' and voxels' numbers."""
     blocks, voxels, links, spills, offsets, stamps, free, retired, used, starts, changes = pools
     for b in range(len(index)):
-        made = make_block(blocks, used, table, np.int64(index[b, 0]), np.int64(index[b, 1]),
-                          np.int64(index[b, 2]))
-        for v in range(block_start[b], block_start[b + 1]):
-            blocks[made].cells[np.int64(cell[v])] = v + 1
-            blocks[made].count += 1
-            for e in range(evidence_start[v], evidence_start[v + 1]):
+        made[b] = make_block(blocks, used, table, np.int64(index[b, 0]), np.int64(index[b, 1]),
+                             np.int64(index[b, 2]))
+        block = blocks[made[b]]
+        cells, changed = block.cells, block.changed
+        for r in range(block_start[b], block_start[b + 1]):
+            v = take_voxel(voxels, used)
+            number[r] = v
+            place = np.int64(cell[r])
+            cells[place] = v + 1
+            if dirty[r]:
+                changed[place >> 3] |= np.uint8(1 << (place & 7))
+            for e in range(evidence_start[r], evidence_start[r + 1]):
                 add_evidence(voxels[v], spills, used, classes[e], sums[e])
-            n = np.int64(observations[v]) - (history_start[v + 1] - history_start[v])
-            for h in range(history_start[v], history_start[v + 1]):
+            n = np.int64(observations[r]) - (history_start[r + 1] - history_start[r])
+            for h in range(history_start[r], history_start[r + 1]):
                 if n % CHUNK == 0 or voxels[v].tail == 0:
                     new_link(voxels[v], links, free, used, n)
                 tail = np.int64(voxels[v].tail) - 1
@@ -215,14 +257,4 @@ def _write(pools, table, index, block_start, cell, observations, evidence_start,
                 write_offset(offsets[tail], n % CHUNK, where[h, 0], where[h, 1], where[h, 2])
                 n += 1
             voxels[v].n = n
-    used[VOXELS] = len(cell)
-
-
-@kernel
-def _mark_changed(blocks, stamps, block, cell, dirty):
-    """Mark the cells whose evidence has changed since a refinement began."""
-    for v in range(len(cell)):
-        if dirty[v]:
-            changed = blocks[block[v]].changed
-            changed[np.int64(cell[v]) >> 3] |= np.uint8(1 << (np.int64(cell[v]) & 7))
-            stamps[block[v]].evidence = 1
+        block.count = block_start[b + 1] - block_start[b]

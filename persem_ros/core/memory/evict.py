@@ -69,27 +69,28 @@ def keep_near(memory: VoxelMemory, position: tuple[float, float, float], radius:
     return voxels - memory.n_voxels
 
 
-def drop(memory: VoxelMemory, numbers: NDArray[np.int64]) -> None:
+def drop(memory: VoxelMemory, numbers: NDArray[np.int64], kept: bool = False) -> None:
     """
     Drop whole blocks by number, when nobody reads beside.
 
-    What lies beside them has other neighbours now and counts as changed.
+    What lies beside them has other neighbours now and counts as changed, unless they are *kept*
+    elsewhere: then they are not forgotten.
 
     """
     numbers = np.asarray(numbers, np.int64)
     index = memory.m.blocks['index'][numbers]
     for viewer in memory.viewers:
-        viewer.gone.append((False, index))
+        viewer.gone.append((kept, index))
     memory.growth = None
     cells = memory.m.blocks['cells'][numbers]
     memory.store.beliefs['posterior'][cells[cells > 0] - 1] = 0.0
-    _drop(memory.m, memory.table, numbers)
+    _drop(memory.m, memory.table, numbers, kept)
     if memory.geometry is not None:     # it looks farther than the blocks beside
         memory.refined_with = None
 
 
 @kernel
-def _drop(pools, table, numbers):
+def _drop(pools, table, numbers, kept):
     """Give the records of the blocks back to their pools, zeroed."""
     blocks, voxels, links, spills, offsets, stamps, free, retired, used, starts, changes = pools
     used[CLOCK] += 1
@@ -130,6 +131,8 @@ def _drop(pools, table, numbers):
                 beside, marks = blocks[other].near, blocks[other].changed
                 beside[26 - d] = 0
                 near[d] = 0
+                if kept:
+                    continue
                 stamps[other].evidence = used[CLOCK]
                 stamps[other].stored = used[CLOCK]
                 for row in range(ROWS):
@@ -138,7 +141,7 @@ def _drop(pools, table, numbers):
             changed[row] = 0
         stamps[b].evidence = 0
         stamps[b].stored = 0
-        stamps[b].shown = used[CLOCK]
+        stamps[b].shown = 0 if kept else used[CLOCK]
         block.count = used[FIRST_BLOCK]
         used[FIRST_BLOCK] = b + 1
         used[FREE_BLOCKS] += 1

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from persem_ros.core.frame.observe import Observations
     from persem_ros.core.memory.capture import Capture
     from persem_ros.core.memory.changes import Changes
+    from persem_ros.core.memory.paging import Pager
     from persem_ros.core.memory.pools import Pools
 
 LAST_T = 2 ** 31 - 1        # histories keep t as int32
@@ -49,6 +50,7 @@ class VoxelMemory:
         self.voxel_size = float(voxel_size)
         self.origin = tuple(float(x) for x in origin)
         self.max_history = int(max_history)
+        self.keeps_all = False      # max_history bounds only what a refinement reads
         self.session = 0
         self.frames = FrameTable()
         self.seen_ids = np.zeros(65536, np.uint8)   # ids of all counted pixels (section 4)
@@ -58,6 +60,7 @@ class VoxelMemory:
         self.captures: set[Capture] = set()     # under way
         self.viewers: set[Changes] = set()      # who wants to know which blocks left
         self.growth: Growth | None = None       # the next hash table, under way
+        self.pager: Pager | None = None         # where a store holds the rest of the map
         self.settled = 0            # tick up to which refinements were handed all changes
         self.sweep = None           # core.refine.sweep.Sweep: which blocks saw the present rho
         self.since_rho = 0          # refinements begun since rho was taken
@@ -81,7 +84,7 @@ class VoxelMemory:
     @property
     def kept_history(self) -> int:
         """Return how many observations of a voxel are kept; 0: all."""
-        return self.max_history
+        return 0 if self.keeps_all else self.max_history
 
     @property
     def n_voxels(self) -> int:
@@ -115,8 +118,7 @@ class VoxelMemory:
 
         """
         n = len(observations.labels)
-        self.store.check_room(n)
-        self._make_room(n)
+        self.make_room(n, n)
         if not self.read_beside:
             release_links(self.m.free, self.m.retired, self.m.used)
         offsets = observations.offsets
@@ -126,7 +128,7 @@ class VoxelMemory:
         rows = np.empty(n, np.int64)
         free = self.m.used[FREE_BLOCKS]
         add_observations(self.m, self.table, observations.voxels, observations.labels,
-                         observations.confidences, offsets, f, self.max_history, rows)
+                         observations.confidences, offsets, f, self.kept_history, rows)
         if self.m.used[FREE_BLOCKS] != free:
             self.growth = None
         self.seen_ids[observations.ids] = 1
@@ -256,7 +258,7 @@ class VoxelMemory:
         while link:
             chain.append(link - 1)
             link = int(links[link - 1]['next'])
-        oldest = max(first, n - self.max_history) if self.max_history else first
+        oldest = max(first, n - self.kept_history) if self.kept_history else first
         skipped = first // CHUNK * CHUNK        # number of the chain's first place
         kept = slice(oldest - skipped, n - skipped)
         return (*(links[name][chain].reshape(-1)[kept] for name in 'csf'),
@@ -285,8 +287,9 @@ class VoxelMemory:
         sizes['classes'] = self.m.starts.nbytes + self.m.changes.nbytes + self.seen_ids.nbytes
         return sizes
 
-    def _make_room(self, blocks: int) -> None:
-        """Let the hash table hold *blocks* more blocks at most half full."""
+    def make_room(self, blocks: int, records: int) -> None:
+        """Have the hash table hold *blocks* more, at most half full; refuse too many *records*."""
+        self.store.check_room(records)
         needed = self.n_blocks - int(self.m.used[FREE_BLOCKS]) + blocks
         if 3 * needed <= len(self.table):
             return

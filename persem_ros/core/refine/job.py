@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, TYPE_CHECKING
 
@@ -11,15 +11,18 @@ from numpy.typing import NDArray
 from persem_ros.core.geometry.method import Labelled, relabel
 from persem_ros.core.jit import kernel, split
 from persem_ros.core.memory.blocks import directions
-from persem_ros.core.memory.pools import CLOCK
+from persem_ros.core.memory.paging import block_numbers
+from persem_ros.core.memory.pools import CLOCK, SIDE
 from persem_ros.core.refine import fusion, selection, snapshot
 from persem_ros.core.refine.sweep import next_blocks, Sweep
+from persem_ros.errors import PersemError
 
 if TYPE_CHECKING:
     from persem_ros.core.memory.voxel_memory import VoxelMemory
     from persem_ros.core.refine.snapshot import Snapshot
     from persem_ros.settings.config import Refine
 
+AT_ONCE = 256       # blocks of a step of refine_all()
 # Methods that look no farther than a voxel's neighbours: a part of the map at a time will do.
 SWEPT = {'majority', *fusion.MODES, *selection.METHODS}
 
@@ -70,6 +73,8 @@ def refine(memory: VoxelMemory, settings: Refine, full: bool = True) -> int:
         Number of voxels visited.
 
     """
+    if full and memory.pager is not None:
+        return sum(refine_all(memory, settings))
     job = begin(memory, settings, full)
     return finish(job, *job.compute())
 
@@ -110,10 +115,69 @@ def begin_next(memory: Any, settings: Any, fresh: Any = False) -> Any:
     memory.refined_with = rules
     memory.since_rho += 1
     also = next_blocks(memory.sweep, memory.m.blocks, memory.table, settings.sweep)
+    if memory.pager is not None:    # a refinement sees all neighbours, or does not visit
+        memory.pager.need_around(memory.changed_blocks())
+        also = memory.pager.ringed(also)
     taken = snapshot.take(memory, settings.neighbours, also)
     snapshot.settle(memory)
     memory.refinements += 1
     return Job(memory, settings, taken, memory.rho, number_of_ids(memory), None, memory.sweep)
+
+
+def refine_all(memory: VoxelMemory, settings: Refine, max_voxels: int = 0) -> Iterator[int]:
+    """
+    Refine a map of which a store holds the rest, block after block with all around them.
+
+    Parameters
+    ----------
+    memory : core.memory.voxel_memory.VoxelMemory
+        It has a pager.
+    settings : persem_ros.settings.config.Refine
+        A method that looks no farther than a voxel's neighbours; others want the whole map in
+        memory (PersemError).
+    max_voxels : int
+        The bound of memory, between two steps; 0: none.
+
+    Yields
+    ------
+    int
+        How many voxels a step has visited.
+
+    """
+    pager = memory.pager
+    if settings.method not in SWEPT:
+        raise PersemError(f'refine.method {settings.method} needs the whole map in memory; choose '
+                          'another method, or go without map.attached')
+    _take_rho(memory)
+    snapshot.settle(memory)
+    blocks = memory.m.blocks
+    here = blocks['index'][:memory.n_blocks][blocks['near'][:memory.n_blocks, 13] > 0]
+    index = np.unique(np.concatenate([here, pager.backing.index()]), axis=0)
+    for at in range(0, len(index), AT_ONCE):
+        part = index[at:at + AT_ONCE]
+        pager.need(part)
+        numbers = block_numbers(memory, part)
+        numbers = numbers[numbers >= 0]         # a damaged one is left out
+        pager.need_around(numbers)
+        _settle_blocks(memory, numbers)
+        taken = snapshot.take(memory, settings.neighbours, numbers)
+        memory.refinements += 1
+        job = Job(memory, settings, taken, memory.rho, number_of_ids(memory), None)
+        yield finish(job, *job.compute())
+        if 0 < max_voxels < memory.n_voxels:
+            pager.save()
+            middle = (part[-1] + 0.5) * SIDE * memory.voxel_size + memory.origin
+            pager.let_go(middle, max_voxels)
+    memory.sweep, memory.refined_with = None, _rules(memory, settings)
+    memory.since_rho = 1
+
+
+def _settle_blocks(memory: VoxelMemory, numbers: NDArray[np.int64]) -> None:
+    """Mark every voxel of some blocks as unchanged."""
+    marked = numbers[memory.m.blocks['changed'][numbers].any(axis=1)]
+    memory.m.used[CLOCK] += 1
+    memory.m.blocks['changed'][marked] = 0
+    memory.m.stamps['stored'][marked] = memory.clock
 
 
 def swept(memory: Any, settings: Any) -> Any:

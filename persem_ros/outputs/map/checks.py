@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.jit import kernel
-from persem_ros.core.memory.dump import MemoryDump
+from persem_ros.core.memory.dump import Blocks, MemoryDump
 from persem_ros.core.memory.evidence import TIE
 from persem_ros.core.memory.frame_table import FrameTable
 from persem_ros.core.memory.pools import CELLS, SIDE
@@ -48,13 +48,37 @@ def check_about(about: Mapping[str, Any]) -> None:
 
 def check_dump(saved: MemoryDump, about: Mapping[str, Any]) -> None:
     """Refuse (ValueError) a map whose columns, counters and frames do not fit together."""
+    _check_frames(saved.frames, saved.session)
+    _check_counters(saved, *check_blocks(saved, saved.frames.t, saved.seen_ids, about))
+
+
+def check_head(saved: MemoryDump) -> None:
+    """Refuse (ValueError) counters and frames that no mapping writes; blocks are not looked at."""
+    _check_frames(saved.frames, saved.session)
+    nothing = np.zeros(MAX_ID + 2, np.int64)
+    _check_counters(saved, nothing, nothing)
+
+
+def check_blocks(saved: Blocks | MemoryDump, frame_t: NDArray[np.int32],
+                 seen_ids: NDArray[np.uint8], about: Mapping[str, Any] | None = None,
+                 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """
+    Refuse (ValueError) blocks that do not fit frames, ids and, where given, the counts in about.
+
+    Returns
+    -------
+    starts, changes : ndarray, shape (65536,), int64
+        The pairs of consecutive observations in them, by class.
+
+    """
+    about = about or {'blocks': len(saved.block_index), 'voxels': len(saved.cell),
+                      'observations': saved.observations.sum(dtype=np.int64)}
     _check_lengths(saved, about)
     _check_blocks(saved)
-    _check_frames(saved.frames, saved.session)
     history = np.diff(saved.history_start)
     _all_or_damaged({
         'observations': bool((history > 0).all() and (history <= saved.observations).all()) and
-        saved.observations.max(initial=0) <= len(saved.frames) and
+        saved.observations.max(initial=0) <= len(frame_t) and
         saved.observations.sum(dtype=np.int64) == about['observations'],
         'labels': max(int(column.max(initial=0)) for column in (
             saved.label, saved.majority, saved.last, saved.first_label, saved.history_label,
@@ -67,14 +91,13 @@ def check_dump(saved: MemoryDump, about: Mapping[str, Any]) -> None:
         saved.observations, saved.switches, saved.label, saved.majority, saved.last,
         saved.first_label, saved.evidence_start, saved.evidence_class, saved.evidence_sum,
         saved.history_start, saved.history_label, saved.history_confidence, saved.history_frame,
-        saved.frames.t,
-        saved.seen_ids, starts, changes)
+        frame_t, seen_ids, starts, changes)
     if fault:
         raise ValueError(FAULTS[fault])
-    _check_counters(saved, starts, changes)
+    return starts, changes
 
 
-def _check_lengths(saved: MemoryDump, about: Mapping[str, Any]) -> None:
+def _check_lengths(saved: Blocks | MemoryDump, about: Mapping[str, Any]) -> None:
     """Refuse columns of other lengths than the counts say."""
     n, rows = len(saved.cell), np.diff(saved.block_start)
     evidence, history = len(saved.evidence_sum), len(saved.history_frame)
@@ -92,7 +115,7 @@ def _check_lengths(saved: MemoryDump, about: Mapping[str, Any]) -> None:
         all(len(getattr(saved, name)) == length for name, length in lengths.items())})
 
 
-def _check_blocks(saved: MemoryDump) -> None:
+def _check_blocks(saved: Blocks | MemoryDump) -> None:
     """Refuse blocks that are not unique and in order, and cells that are not within them."""
     index = saved.block_index.astype(np.int64)
     step = np.diff(index, axis=0)

@@ -10,11 +10,11 @@ import zlib
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.memory.dump import MemoryDump
+from persem_ros.core.memory.dump import Blocks, MemoryDump
 from persem_ros.core.memory.frame_table import FrameTable, Session
 from persem_ros.frames import MAX_ID
 from persem_ros.outputs.map import schema1
-from persem_ros.outputs.map.checks import check_about, check_dump
+from persem_ros.outputs.map.checks import check_about, check_dump, check_head
 
 SCHEMA = 2
 ORDER = {'about': 'name', 'sessions': 'number', 'mounts': 'session, sensor', 'frames': 'row',
@@ -70,13 +70,17 @@ def to_rows(saved: MemoryDump, texts: dict[str, str]) -> dict[str, Any]:
              'session': saved.session, 'refined': int(saved.rho is not None),
              'blocks': len(saved.block_index), 'voxels': len(saved.cell),
              'observations': int(saved.observations.sum(dtype=np.int64))}
-    small = {'sessions': [(number, session.uuid)
-                          for number, session in sorted(saved.frames.sessions.items())],
-             'mounts': list(_mount_rows(saved)), 'frames': list(_frame_rows(saved)),
-             'classes': list(_class_rows(saved))}
+    small = {**small_rows(saved), 'frames': list(frame_rows(saved.frames))}
     about['frames_crc'] = crc_of(small['frames'])
     about['crc'] = crc_of(about_rows(about, small))
-    return {'about': sorted(about.items()), **small, 'blocks': _block_rows(saved)}
+    return {'about': sorted(about.items()), **small, 'blocks': block_rows(saved)}
+
+
+def small_rows(saved: MemoryDump) -> dict[str, Any]:
+    """Return {table: rows} of the smallest tables but 'about'."""
+    return {'sessions': [(number, session.uuid)
+                         for number, session in sorted(saved.frames.sessions.items())],
+            'mounts': list(_mount_rows(saved)), 'classes': list(_class_rows(saved))}
 
 
 def about_rows(about: Any, tables: Any) -> Any:
@@ -97,10 +101,9 @@ def _mount_rows(saved: Any) -> Iterator[Any]:
             yield number, sensor, _matrix(mount)
 
 
-def _frame_rows(saved: MemoryDump) -> Iterator[tuple[Any, ...]]:
-    """Yield the rows of the table frames, in the order of integration."""
-    table = saved.frames
-    for row in range(len(table)):
+def frame_rows(table: FrameTable, first: int = 0) -> Iterator[tuple[Any, ...]]:
+    """Yield the rows of the table frames from row *first* on, in the order of integration."""
+    for row in range(first, len(table)):
         placed, best = _matrix(table.placed[row]), _matrix(table.best[row])
         yield (row, int(table.t[row]), int(table.session[row]), table.sensors[table.sensor[row]],
                int(table.stamp[row]), placed, None if best == placed else best)
@@ -119,7 +122,7 @@ def _class_rows(saved: MemoryDump) -> Iterator[tuple[float, ...]]:
                float(rho[c]))
 
 
-def _block_rows(saved: MemoryDump) -> Iterator[tuple[bytes | int, ...]]:
+def block_rows(saved: MemoryDump) -> Iterator[tuple[bytes | int, ...]]:
     """Yield the rows of the table blocks, sorted by index; columns are views, not copies."""
     arrays = {field.name: getattr(saved, field.name) for field in fields(saved)}
     arrays['evidence_count'] = np.diff(saved.evidence_start)
@@ -146,7 +149,8 @@ def from_rows(rows: dict[str, Any]) -> tuple[dict[str, Any], MemoryDump] | None:
     Parameters
     ----------
     rows : dict
-        {table: list of rows}, sorted as ORDER says; of schema 1, where there are no sessions.
+        {table: list of rows}, sorted as ORDER says; of schema 1, where there are no sessions;
+        without blocks, where there is no such table.
 
     Returns
     -------
@@ -162,31 +166,49 @@ def from_rows(rows: dict[str, Any]) -> tuple[dict[str, Any], MemoryDump] | None:
 
     """
     about = about_of(rows)
-    frames, classes, blocks = rows['frames'], rows['classes'], rows['blocks']
+    frames, classes, blocks = rows['frames'], rows['classes'], rows.get('blocks', [])
     first = 'sessions' not in rows      # of schema 1
+    columns = _columns(blocks, first)
+    table = schema1.frame_table(frames) if first else \
+        _frame_table(frames, rows['sessions'], rows['mounts'])
+    if first:
+        columns |= schema1.added(columns, columns['history_start'], table)
+        del columns['history_t']
+    saved = MemoryDump(
+        about['voxel_size'], struct.unpack('<3d', about['origin']), about['max_history'],
+        about['session'], **columns, **_counters(classes, about['refined']), frames=table)
+    if 'blocks' in rows:
+        check_dump(saved, about)
+    else:
+        check_head(saved)
+    return about, saved
+
+
+def blocks_of(rows: list[Any]) -> Blocks:
+    """Return what some rows of the table blocks hold; ValueError where a checksum differs."""
+    return Blocks(**_columns(rows, False))
+
+
+def _columns(blocks: list[Any], first: bool) -> dict[str, Any]:
+    """Return the columns of a MemoryDump that are in rows of the table blocks."""
     columns = columns_of(blocks, first)
-    start = {name: _starts(columns.pop(f'{name}_count')) for name in ('evidence', 'history')}
+    return {'block_index': np.array([row[:3] for row in blocks], np.int32).reshape(-1, 3),
+            'block_start': _starts([row[3] for row in blocks]),
+            'evidence_start': _starts(columns.pop('evidence_count')),
+            'history_start': _starts(columns.pop('history_count')), **columns}
+
+
+def _counters(classes: list[Any], refined: int) -> dict[str, Any]:
+    """Return the class counters of a MemoryDump."""
     counts = {name: np.zeros(MAX_ID + 2, kind) for name, kind in (
-        ('starts', np.int64), ('changes', np.int64), ('seen', np.uint8), ('rho', np.float64))}
+        ('starts', np.int64), ('changes', np.int64), ('seen_ids', np.uint8),
+        ('rho', np.float64))}
     ids = [row[0] for row in classes]
     if ids and not 0 <= min(ids) <= max(ids) <= MAX_ID:
         raise ValueError('ids of the classes')
     for k, column in enumerate(counts.values(), 1):
         column[ids] = [row[k] for row in classes]
-    table = schema1.frame_table(frames) if first else \
-        _frame_table(frames, rows['sessions'], rows['mounts'])
-    if first:
-        columns |= schema1.added(columns, start['history'], table)
-        del columns['history_t']
-    saved = MemoryDump(
-        about['voxel_size'], struct.unpack('<3d', about['origin']), about['max_history'],
-        about['session'], np.array([row[:3] for row in blocks], np.int32).reshape(-1, 3),
-        _starts([row[3] for row in blocks]), **columns, evidence_start=start['evidence'],
-        history_start=start['history'], starts=counts['starts'], changes=counts['changes'],
-        seen_ids=counts['seen'], rho=counts['rho'] if about['refined'] else None,
-        frames=table)
-    check_dump(saved, about)
-    return about, saved
+    return counts if refined else {**counts, 'rho': None}
 
 
 def about_of(rows: dict[str, Any]) -> dict[str, Any]:

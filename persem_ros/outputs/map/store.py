@@ -25,7 +25,7 @@ from persem_ros.core.memory.capture import dump
 from persem_ros.core.memory.dump import load as load_memory, MemoryDump
 from persem_ros.core.memory.pools import SIDE
 from persem_ros.errors import PersemError
-from persem_ros.guard.database import check_tables, checked, opened
+from persem_ros.guard.database import check_tables, checked, held_by, opened
 from persem_ros.outputs.files import replacing
 from persem_ros.outputs.map import schema1
 from persem_ros.outputs.map.rows import from_rows, KINDS, NAMES, ORDER, SCHEMA, TABLES, to_rows
@@ -82,7 +82,7 @@ class StoredMap:
         """
         saved = self.saved
         if config is not None:
-            self._check_fits(config)
+            self.check_fits(config)
             kept, wanted = saved.max_history, config.memory.max_history
             if kept and not 0 < wanted <= kept:
                 log.warning('%s holds the newest %d observations of each voxel; older ones do '
@@ -103,7 +103,7 @@ class StoredMap:
         """Return the Config in force when the map was saved."""
         return config_file.from_text(self.settings, f'settings in {self.path}')
 
-    def _check_fits(self, config: Config) -> None:
+    def check_fits(self, config: Config) -> None:
         """Refuse settings whose voxels are other ones."""
         for name, mine, other in (
                 ('memory.voxel_size', self.saved.voxel_size, config.memory.voxel_size),
@@ -169,9 +169,9 @@ def _keep_schema_1(path: Any) -> None:
         pass
 
 
-def load(path: Path | str) -> StoredMap | None:
+def load(path: Path | str) -> StoredMap:
     """
-    Return the StoredMap in a file.
+    Return the StoredMap in a file; one that is being written: as of its last checkpoint.
 
     Raises
     ------
@@ -179,22 +179,43 @@ def load(path: Path | str) -> StoredMap | None:
         For a file that is missing, foreign, of another schema, or damaged.
 
     """
-    path = Path(path)
+    return _read(Path(path), True).stored
+
+
+@dataclass(frozen=True, eq=False)
+class Head:
+    """All of a map file but its blocks: a StoredMap without any, the table about, the schema."""
+
+    stored: StoredMap
+    about: dict[str, Any]
+    schema: int
+
+
+def head(path: Path | str) -> Head:
+    """Return the Head of a file; raises as load() does."""
+    return _read(Path(path), False)
+
+
+def _read(path: Path, whole: bool) -> Head:
+    """Return what a file holds, with its blocks or without."""
     with reading(path) as (db, first):
         names, kinds = (schema1.NAMES, schema1.KINDS) if first else (NAMES, KINDS)
-        size = path.stat().st_size
+        size = held_by(path)
         rows = {table: list(checked(
             db.execute(f'SELECT * FROM {table} ORDER BY {ORDER[table]}'), kinds[table], size))
-            for table in ORDER if table in names}
+            for table in ORDER if table in names and (whole or table != 'blocks')}
         about, saved = from_rows(rows)
     legend = Legend.from_yaml(about['legend'], str(path)) if about['legend'] else Legend()
-    return StoredMap(path, saved, about['map_frame'], about['settings'], legend)
+    return Head(StoredMap(path, saved, about['map_frame'], about['settings'], legend),
+                dict(rows['about']), 1 if first else SCHEMA)
 
 
 @contextmanager
 def reading(path: Path) -> Iterator[tuple[sqlite3.Connection, bool]]:
     """
     Open a map file to be read piece by piece; give it, and whether it is of schema 1.
+
+    All is of one moment, also where the file is being written.
 
     Raises
     ------
@@ -204,7 +225,8 @@ def reading(path: Path) -> Iterator[tuple[sqlite3.Connection, bool]]:
     """
     _check_magic(path)
     try:
-        with closing(opened(path)) as db:
+        with closing(opened(path, living=True)) as db:
+            db.execute('BEGIN')
             first = _schema(db, path) == 1
             check_tables(db, schema1.NAMES if first else NAMES)
             yield db, first

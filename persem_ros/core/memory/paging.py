@@ -1,0 +1,216 @@
+"""
+A memory that holds a part of a map; a store holds the whole of it (spec section 9).
+
+The core knows no files: it is handed a store that reads blocks and writes what changed.
+
+"""
+
+from __future__ import annotations
+
+from typing import Protocol, TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from persem_ros.core.jit import kernel
+from persem_ros.core.memory.blocks import find_block
+from persem_ros.core.memory.capture import Capture
+from persem_ros.core.memory.dump import Blocks, enter, MemoryDump
+from persem_ros.core.memory.evict import drop
+from persem_ros.core.memory.pools import CLOCK, SIDE, sparse_zeros
+
+if TYPE_CHECKING:
+    from persem_ros.core.memory.voxel_memory import VoxelMemory
+
+
+class Backing(Protocol):
+    """What holds the whole map."""
+
+    def index(self) -> NDArray[np.int32]:
+        """Return the indices of all blocks, (n, 3) int32, ascending."""
+
+    def read(self, index: NDArray[np.int32]) -> Blocks:
+        """Return those of the blocks with the given indices (n, 3) that are there."""
+
+    def write(self, changed: MemoryDump) -> None:
+        """Take blocks, counters and frames over, all at once; an exception: nothing of it."""
+
+
+class Pager:
+    """
+    Brings blocks into memory when they are needed, and lets go of those that the store has.
+
+    All methods but Checkpoint.write() belong to the thread that owns the map.
+
+    Parameters
+    ----------
+    memory : VoxelMemory
+        Empty, or all that the store does not have.
+    backing : Backing
+        The store.
+
+    Attributes
+    ----------
+    moment : int
+        The tick of the last state of the map that the store holds.
+
+    """
+
+    def __init__(self, memory: VoxelMemory, backing: Backing) -> None:
+        self.memory, self.backing = memory, backing
+        memory.pager = self
+        self.moment = 0
+        self._ringed = sparse_zeros(0, np.uint8)    # by block number: all blocks around are here
+
+    def need(self, index: NDArray[np.int32]) -> None:
+        """Bring the blocks with these indices (n, 3) into memory, where the store has them."""
+        memory = self.memory
+        index = np.unique(index, axis=0)
+        numbers = block_numbers(memory, index)
+        found = self.backing.read(index[numbers < 0])
+        if not len(found.block_index):
+            return
+        memory.m.used[CLOCK] += 1
+        blocks = enter(memory, found)
+        stamps = memory.m.stamps
+        stamps['shown'][blocks] = memory.clock
+        stamps['evidence'][blocks] = stamps['stored'][blocks] = 0
+        self._room()[blocks] = 0
+
+    def need_voxels(self, voxels: NDArray[np.int32]) -> None:
+        """Bring the blocks of voxels (n, 3) into memory: they are about to be observed."""
+        blocks = voxels >> 3
+        if len(blocks):
+            new = np.ones(len(blocks), bool)        # most follow one of the same block
+            new[1:] = (blocks[1:] != blocks[:-1]).any(axis=1)
+            self.need(blocks[new])
+
+    def need_around(self, blocks: NDArray[np.int64]) -> None:
+        """Bring all blocks around those with the given numbers into memory."""
+        blocks = blocks[self._room()[blocks] == 0]
+        if not len(blocks):
+            return
+        steps = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing='ij'), axis=-1).reshape(-1, 3)
+        around = self.memory.m.blocks['index'][blocks][:, None] + steps
+        missing = self.memory.m.blocks['near'][blocks] == 0
+        self.need(around[missing].astype(np.int32))
+        self._room()[blocks] = 1
+
+    def ringed(self, blocks: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return those of the blocks around which everything is in memory."""
+        return blocks[self._room()[blocks] == 1]
+
+    def let_go(self, position: ArrayLike, max_voxels: int = 0, radius: float = 0.0,
+               at_once: int = 0) -> int:
+        """
+        Let go of clean blocks, the farthest first.
+
+        Parameters
+        ----------
+        position : sequence of 3 floats
+            Metres in the map frame.
+        max_voxels, radius, at_once : int, float, int
+            As in core.memory.evict.keep_near; the bound is kept as far as clean blocks suffice.
+
+        Returns
+        -------
+        int
+            Number of voxels that left memory.
+
+        """
+        memory = self.memory
+        crowded = 0 < max_voxels < memory.n_voxels
+        if memory.read_beside or not (radius > 0 or crowded):
+            return 0
+        blocks = memory.m.blocks
+        clean = np.flatnonzero(memory.m.stamps['stored'][:memory.n_blocks] <= self.moment)
+        clean = clean[blocks['near'][clean, 13] > 0]
+        away = np.linalg.norm((blocks['index'][clean] + 0.5) * (SIDE * memory.voxel_size)
+                              - (np.asarray(position) - memory.origin), axis=1)
+        order = np.argsort(-away, kind='stable')
+        counts = blocks['count'][clean[order]].astype(np.int64)
+        farther = np.cumsum(counts) - counts
+        leave = np.zeros(len(clean), bool)
+        if radius > 0:
+            leave |= away[order] > radius
+        if crowded:
+            leave |= farther < memory.n_voxels - int(0.9 * max_voxels)
+        if at_once > 0:
+            leave &= farther < at_once
+        if not leave.any():
+            return 0
+        numbers = clean[order[leave]]
+        near = blocks['near'][numbers].reshape(-1)
+        self._room()[near[near > 0].astype(np.int64) - 1] = 0
+        drop(memory, numbers, kept=True)
+        return int(counts[leave].sum())
+
+    @property
+    def dirty_voxels(self) -> int:
+        """Return how many voxels lie in blocks that changed since the store's state."""
+        memory = self.memory
+        changed = np.flatnonzero(memory.m.stamps['stored'][:memory.n_blocks] > self.moment)
+        return int(memory.m.blocks['count'][changed].sum(dtype=np.int64))
+
+    def checkpoint(self) -> Checkpoint:
+        """Return the beginning of a checkpoint."""
+        return Checkpoint(self)
+
+    def save(self) -> None:
+        """Bring the store up to date at once."""
+        checkpoint = self.checkpoint()
+        try:
+            checkpoint.capture.step(np.inf)
+            checkpoint.write()
+        finally:
+            checkpoint.end()
+
+    def _room(self) -> NDArray[np.uint8]:
+        """Return the marks of the rings, long enough for all blocks."""
+        n = self.memory.n_blocks
+        if n > len(self._ringed):
+            longer = sparse_zeros(2 * n, np.uint8)
+            longer[:len(self._ringed)] = self._ringed
+            self._ringed = longer
+        return self._ringed
+
+
+class Checkpoint:
+    """
+    What changed since the last one, on its way to the store.
+
+    The owner of the map calls capture.step() until it is True; any thread then calls write(), and
+    the owner end().
+
+    """
+
+    def __init__(self, pager: Pager) -> None:
+        self._pager = pager
+        self.capture = Capture(pager.memory, pager.moment)
+        self.written = False
+
+    def write(self) -> None:
+        """Write what was captured; whatever the store raises passes."""
+        self._pager.backing.write(self.capture.dump())
+        self.written = True
+
+    def end(self) -> bool:
+        """Note what the store holds now; return whether it was written."""
+        self.capture.close()
+        if self.written:
+            self._pager.moment = max(self._pager.moment, self.capture.moment)
+        return self.written
+
+
+def block_numbers(memory: VoxelMemory, index: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Return the numbers of the blocks with the given indices (n, 3), -1 for those not here."""
+    numbers = np.empty(len(index), np.int64)
+    _find_blocks(memory.m.blocks, memory.table, np.require(index, np.int32, 'C'), numbers)
+    return numbers
+
+
+@kernel
+def _find_blocks(blocks, table, index, numbers):
+    """Write the number of each block, -1 for none."""
+    for p in range(len(index)):
+        numbers[p] = find_block(blocks, table, np.int64(index[p, 0]), np.int64(index[p, 1]),
+                                np.int64(index[p, 2]))

@@ -1,0 +1,217 @@
+"""
+A map file that is written while it is mapped: the store of core.memory.paging (spec section 9).
+
+SQLite's write-ahead log lets readers go on beside the one writer, who adds what changed in one
+transaction: after whatever end the file holds one state whole. At a clean end the log is gone.
+
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+import logging
+from pathlib import Path
+import sqlite3
+import threading
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+from numpy.typing import NDArray
+from persem_ros.core.memory.dump import Blocks, MemoryDump, take_over
+from persem_ros.core.memory.pools import OBSERVATIONS
+from persem_ros.core.memory.voxel_memory import VoxelMemory
+from persem_ros.errors import PersemError
+from persem_ros.guard.database import check_tables, harden
+from persem_ros.outputs.map import store
+from persem_ros.outputs.map.checks import check_blocks
+from persem_ros.outputs.map.lock import WriterLock
+from persem_ros.outputs.map.rows import (
+    about_rows, block_rows, blocks_of, COLUMNS, crc_of, frame_rows, NAMES, SCHEMA,
+    small_rows)
+from persem_ros.settings import config_file
+from persem_ros.settings.config import Config
+from persem_ros.settings.legend import Legend
+
+log = logging.getLogger(__name__)
+PLACE = 'x = ? AND y = ? AND z = ?'
+OBSERVED = [name for name, _ in COLUMNS].index('observations')
+
+
+class LivingMap:
+    """
+    The writer of a map file.
+
+    read() and index() belong to one thread, write() may be called by another.
+
+    Parameters
+    ----------
+    path : Path
+        The file; made where there is none.
+    config : Config
+        Settings in force; refused where voxels of these would not fit the map's.
+    legend : Legend
+        Names and colours of the classes.
+
+    Attributes
+    ----------
+    damaged : set
+        Indices of blocks that could not be read; they count as never observed.
+
+    """
+
+    def __init__(self, path: Path, config: Config, legend: Legend) -> None:
+        self.path, self.config, self.legend = path, config, legend
+        self.damaged: set[tuple[int, ...]] = set()
+        self._writing = threading.Lock()
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._lock = WriterLock(path)
+        try:
+            self._begin()
+        except BaseException:
+            self._lock.close()
+            raise
+
+    def memory(self) -> VoxelMemory:
+        """Return a memory without blocks that goes on, in a new session, where the map stands."""
+        saved = self._state
+        memory = VoxelMemory(saved.voxel_size, saved.origin, self.config.memory.max_history)
+        memory.keeps_all = True
+        take_over(memory, saved)
+        memory.m.used[OBSERVATIONS] = self._about['observations']
+        memory.new_session()
+        return memory
+
+    @property
+    def voxels(self) -> int:
+        """Return how many voxels the file holds."""
+        return int(self._about['voxels'])
+
+    def index(self) -> NDArray[np.int32]:
+        """Return the indices of all blocks, (n, 3) int32, ascending."""
+        rows = self._reader.execute('SELECT x, y, z FROM blocks ORDER BY x, y, z').fetchall()
+        return np.array(rows, np.int32).reshape(-1, 3)
+
+    def read(self, index: NDArray[np.int32]) -> Blocks:
+        """Return those of the blocks with the given indices (n, 3) that are there."""
+        rows = []
+        for key in index.tolist():
+            row = self._reader.execute(f'SELECT * FROM blocks WHERE {PLACE}', key).fetchone()
+            if row is not None and tuple(key) not in self.damaged and self._whole(row):
+                rows.append(row)
+        return blocks_of(rows)
+
+    def write(self, changed: MemoryDump) -> None:
+        """
+        Take the blocks, counters and frames of a dump over, in one transaction.
+
+        Raises
+        ------
+        PersemError
+            When that is not possible; the file is as it was.
+
+        """
+        with self._writing:
+            db = self._writer
+            try:
+                db.execute('BEGIN IMMEDIATE')
+                about, crc = self._enter(db, changed)
+                db.execute('COMMIT')
+            except sqlite3.Error as error:
+                with suppress(sqlite3.Error):
+                    db.execute('ROLLBACK')
+                raise PersemError(f'{self.path} cannot be written ({error})') from error
+            self._about, self._frames_crc, self._n_frames = about, crc, len(changed.frames)
+            self._t, self._seen = changed.frames.t, changed.seen_ids
+
+    def close(self) -> None:
+        """Leave one whole file without a log beside it, where the disk allows that."""
+        try:
+            for statement in ('PRAGMA wal_checkpoint(TRUNCATE)', 'PRAGMA journal_mode = DELETE'):
+                self._reader.close()
+                self._writer.execute(statement).fetchall()
+        except sqlite3.Error as error:
+            log.warning('%s: its log stays beside it (%s); keep the two together', self.path,
+                        error)
+        self._writer.close()
+        self._lock.close()
+
+    def _begin(self) -> None:
+        """Open the file, or a new one; read all but its blocks."""
+        path = self.path
+        if not path.exists():
+            empty = VoxelMemory(self.config.memory.voxel_size, self.config.map.origin)
+            store.save(path, empty, self.config, self.legend)
+        head = store.head(path)
+        if head.schema != SCHEMA:
+            whole = store.load(path)
+            store.save(path, whole.saved, whole.config(), whole.legend)
+            head = store.head(path)
+        head.stored.check_fits(self.config)
+        self._state, self._about = head.stored.saved, head.about
+        self._n_frames = len(self._state.frames)
+        self._frames_crc = self._about['frames_crc']
+        self._t, self._seen = self._state.frames.t, self._state.seen_ids
+        try:
+            self._writer = _connected(path)
+            self._writer.execute('PRAGMA journal_mode = WAL').fetchall()
+            self._writer.execute('PRAGMA synchronous = FULL')
+            self._reader = _connected(path)
+        except sqlite3.Error as error:
+            raise PersemError(f'{path} cannot be attached ({error}); copy it to a disk that can '
+                              'be written, or go without map.attached') from error
+
+    def _enter(self, db: sqlite3.Connection, changed: MemoryDump) -> tuple[dict[str, Any], int]:
+        """Write all rows; return the new table about and the frame table's checksum."""
+        counts = {name: int(self._about[name]) for name in ('blocks', 'voxels', 'observations')}
+        places = ', '.join('?' * len(NAMES['blocks']))
+        for row in block_rows(changed):
+            old = db.execute(f'SELECT voxels, observations FROM blocks WHERE {PLACE}',
+                             row[:3]).fetchone()
+            if old is not None and row[:3] in self.damaged:
+                old = None
+            counts['blocks'] += old is None
+            counts['voxels'] += row[3] - (old[0] if old else 0)
+            counts['observations'] += _observed(row[5 + OBSERVED]) - (
+                _observed(old[1]) if old else 0)
+            db.execute(f'INSERT OR REPLACE INTO blocks VALUES ({places})', row)
+        crc = self._frames_crc
+        for row in frame_rows(changed.frames, self._n_frames):
+            db.execute(f'INSERT INTO frames VALUES ({", ".join("?" * len(row))})', row)
+            crc = crc_of([row], crc)
+        small = small_rows(changed)
+        for table, rows in small.items():
+            db.execute(f'DELETE FROM {table}')
+            db.executemany(f'INSERT INTO {table} VALUES ({", ".join("?" * len(NAMES[table]))})',
+                           rows)
+        about = {**self._about, **counts, 'session': changed.session, 'frames_crc': crc,
+                 'refined': int(changed.rho is not None),
+                 'settings': config_file.to_yaml(self.config), 'legend': self.legend.to_yaml()}
+        about['crc'] = crc_of(about_rows(about, small))
+        db.executemany('INSERT OR REPLACE INTO about VALUES (?, ?)', about.items())
+        return about, crc
+
+    def _whole(self, row: tuple[Any, ...]) -> bool:
+        """Return whether a block is as it was written; say so once where it is not."""
+        try:
+            check_blocks(blocks_of([row]), self._t, self._seen)
+            return True
+        except (ValueError, TypeError, IndexError, OverflowError) as error:
+            self.damaged.add(tuple(row[:3]))
+            log.warning('%s: block %s is damaged (%s) and left out; the rest of the map lives',
+                        self.path, row[:3], error)
+            return False
+
+
+def _connected(path: Path) -> sqlite3.Connection:
+    """Return a connection that may write."""
+    db = sqlite3.connect(f'file:{quote(str(path.resolve()))}?mode=rw', uri=True,
+                         isolation_level=None, check_same_thread=False)
+    harden(db)
+    check_tables(db, NAMES)
+    return db
+
+
+def _observed(column: bytes) -> int:
+    """Return the sum of a block's column 'observations'."""
+    return int(np.frombuffer(column, '<u4').sum(dtype=np.int64))

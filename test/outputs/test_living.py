@@ -1,0 +1,257 @@
+"""A map in a database: what left memory comes back, whole after whatever end."""
+
+from contextlib import closing
+import ctypes
+from dataclasses import replace
+import os
+import resource
+import signal
+import sqlite3
+import sys
+import warnings
+
+import core_worlds as cw
+from hypothesis import given, strategies as st
+import numpy as np
+from persem_ros.core import jit
+from persem_ros.core.memory.paging import Pager
+from persem_ros.core.memory.voxel_memory import VoxelMemory
+from persem_ros.core.refine.job import begin_next, finish, refine, refine_all
+from persem_ros.errors import PersemError
+from persem_ros.outputs.map import store
+from persem_ros.outputs.map.living import LivingMap
+from persem_ros.settings.config import Config, Refine, updated
+from persem_ros.settings.legend import Legend
+import pytest
+from test_store import plain
+
+PTRACE = ctypes.CDLL(None, use_errno=True).ptrace
+PTRACE.argtypes = [ctypes.c_long, ctypes.c_long, ctypes.c_void_p, ctypes.c_void_p]
+KILLS = int(os.environ.get('PERSEM_KILLS', '12'))
+SETTINGS = replace(Refine(), min_observations=1)
+
+
+def opened(path):
+    """Return a LivingMap and its Pager."""
+    living = LivingMap(path, Config(), Legend())
+    return living, Pager(living.memory(), living)
+
+
+def flight(seed, n=20):
+    """Return the Observations of a flight back and forth along x, 6 x 6 columns wide."""
+    rng, found = np.random.default_rng(seed), []
+    for t in range(n):
+        x = int(30 * abs(((t / 9) + 1) % 2 - 1)) - 8
+        voxels = rng.integers((x, -3, 0), (x + 12, 9, 3), (40, 3))
+        found.append(cw.observations(10 ** 18 + t * 10 ** 8, {
+            tuple(v): (int(rng.choice(cw.IDS[:4])), float(rng.choice(cw.EXACT)))
+            for v in voxels.tolist()}))
+    return found
+
+
+def step(memory, settings):
+    """Run the refinement that is next in turn."""
+    job = begin_next(memory, settings)
+    finish(job, *job.compute())
+
+
+def mapped(pager, seen, settings, rng, bound):
+    """Map some Observations with a bound on memory; return the largest number of voxels."""
+    memory, most = pager.memory, 0
+    for one in seen:
+        pager.need_voxels(one.voxels)
+        memory.add(one)
+        most = max(most, memory.n_voxels)
+        if rng.random() < 0.4:
+            step(memory, settings)
+        if rng.random() < 0.3 or pager.dirty_voxels > bound:
+            pager.save()
+        pager.let_go(one.voxels.mean(axis=0) * 0.5, bound)
+    return most
+
+
+@cw.examples(max_examples=8)
+@given(cw.seeds, st.sampled_from([60, 150, 10 ** 6]), st.sampled_from([6, 26]),
+       st.sampled_from(['persem', 'recency', 'history']))
+def test_a_run_that_paged_equals_one_that_never_did(tmp_path_factory, seed, bound, neighbours,
+                                                    method):
+    path = tmp_path_factory.mktemp('map') / 'map.persem'
+    rng = np.random.default_rng(seed)
+    settings = replace(SETTINGS, neighbours=neighbours, method=method)
+    living, pager = opened(path)
+    straight, seen = VoxelMemory(0.5), flight(seed)
+    straight.new_session()
+    for one in seen:
+        straight.add(one)
+    most = mapped(pager, seen[:12], settings, rng, bound)
+    pager.save()
+    living.close()                      # and another day, in the same session
+    living, pager = opened(path)
+    pager.memory.session -= 1
+    pager.memory.resume(pager.memory.frames, pager.memory.session)
+    most = max(most, mapped(pager, seen[12:], settings, rng, bound))
+    refine(straight, settings)
+    visited = sum(refine_all(pager.memory, settings, bound))
+    pager.save()
+    living.close()
+    assert visited == straight.n_voxels
+    assert bound == 10 ** 6 or most < straight.n_voxels
+    assert sorted(p.name for p in path.parent.iterdir()) == ['map.persem']
+    assert plain(store.load(path).saved) == plain(straight)
+
+
+def at(frames):
+    """Return what a map holds after some frames, without refinement."""
+    memory = VoxelMemory(0.5)
+    memory.new_session()
+    for one in frames:
+        memory.add(one)
+    return plain(memory)
+
+
+def kill_after(calls, child):
+    """Run child() in a process that is killed after some system calls; False: it had ended."""
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore')         # of threads that the child does not use
+        pid = os.fork()
+    if pid == 0:
+        try:
+            PTRACE(0, 0, None, None)            # PTRACE_TRACEME
+            os.kill(os.getpid(), signal.SIGSTOP)
+            jit.work_alone()
+            child()
+        finally:
+            os._exit(0)
+    os.waitpid(pid, 0)
+    for _ in range(calls):
+        PTRACE(24, pid, None, None)             # PTRACE_SYSCALL: on to the next stop
+        if os.WIFEXITED(os.waitpid(pid, 0)[1]):
+            return False
+    os.kill(pid, signal.SIGKILL)
+    os.waitpid(pid, 0)
+    return True
+
+
+@pytest.mark.skipif(sys.platform != 'linux', reason='ptrace')
+def test_killed_between_any_two_system_calls_it_holds_a_state_of_the_last_checkpoints(tmp_path):
+    seen, rng = flight(3, 12), np.random.default_rng(int(os.environ.get('PERSEM_SEED', '1')))
+    states = {n: at(seen[:n]) for n in range(0, 13, 2)}
+    opened(tmp_path / 'fresh.persem')[0].close()
+    fresh = (tmp_path / 'fresh.persem').read_bytes()
+    calls, killed, reached = 2500, 0, set()
+    while killed < KILLS:
+        path = tmp_path / f'map{killed}.persem'
+        path.write_bytes(fresh)
+        told, tell = os.pipe()
+
+        def child():
+            living, pager = opened(path)
+            living._writer.execute('PRAGMA wal_autocheckpoint = 8')     # the log's end, too
+            for n in range(0, 12, 2):
+                for one in seen[n:n + 2]:
+                    pager.need_voxels(one.voxels)
+                    pager.memory.add(one)
+                pager.save()
+                os.write(tell, bytes([n + 2]))
+                pager.let_go((0.0, 0.0, 0.0), 50)
+            living.close()
+        killing = kill_after(int(rng.integers(1, calls)), child)
+        os.close(tell)
+        with open(told, 'rb') as file:
+            promised = max(file.read(), default=0)
+        if not killing:
+            calls = max(100, int(calls * 0.9))
+            continue
+        killed += 1
+        found = plain(store.load(path).saved)
+        n = len(found['frames'])
+        reached.add(n)
+        assert n in (promised, promised + 2)
+        assert {**found, 'session': 0} == {**states[n], 'session': 0}
+        living, pager = opened(path)            # and mapping goes on
+        pager.need_voxels(seen[-1].voxels)
+        pager.memory.add(seen[-1])
+        pager.save()
+        living.close()
+        assert len(store.load(path).saved.frames) == n + 1
+    assert len(reached) > 2
+
+
+def test_a_full_disk_loses_nothing_and_mapping_goes_on_when_there_is_room(tmp_path):
+    path, seen = tmp_path / 'map.persem', flight(5, 12)
+    living, pager = opened(path)
+    memory = pager.memory
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    failed = 0
+    for k, one in enumerate(seen):
+        pager.need_voxels(one.voxels)
+        memory.add(one)
+        if 4 <= k < 9:
+            room = sum(p.stat().st_size for p in tmp_path.iterdir() if 'wal' in p.name)
+            resource.setrlimit(resource.RLIMIT_FSIZE, (room + 5000 * (k - 4), hard))
+        try:
+            pager.save()
+        except PersemError as error:
+            failed += 1
+            assert f'{path} cannot be written (' in str(error)
+            assert pager.dirty_voxels > 0
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        assert len(store.load(path).saved.frames) == (k + 1 if not pager.dirty_voxels else 4)
+        pager.let_go(one.voxels.mean(axis=0) * 0.5, 60)
+    assert failed >= 2 and pager.dirty_voxels == 0
+    living.close()
+    assert plain(store.load(path).saved) == at(seen)
+
+
+def test_it_is_read_beside_the_writer_and_written_by_one(tmp_path):
+    path, seen = tmp_path / 'map.persem', flight(7, 4)
+    living, pager = opened(path)
+    for k, one in enumerate(seen):
+        pager.memory.add(one)
+        pager.save()
+        assert len(store.load(path).saved.frames) == k + 1
+    with pytest.raises(PersemError, match=rf'is being written by .* \(process {os.getpid()}\); '
+                                          'end that first, or give another map.path'):
+        opened(path)
+    living.close()
+    opened(path)[0].close()
+
+
+def test_a_damaged_block_is_named_and_the_rest_lives(tmp_path, caplog):
+    path, seen = tmp_path / 'map.persem', flight(9, 6)
+    living, pager = opened(path)
+    for one in seen:
+        pager.memory.add(one)
+    pager.save()
+    living.close()
+    with closing(sqlite3.connect(path)) as db:
+        x, y, z = db.execute('SELECT x, y, z FROM blocks').fetchone()
+        db.execute('UPDATE blocks SET crc = crc + 1 WHERE x=? AND y=? AND z=?', (x, y, z))
+        db.commit()
+    living, pager = opened(path)
+    pager.need(living.index())
+    assert f'block ({x}, {y}, {z}) is damaged (checksum' in caplog.text
+    assert len(living.index()) == pager.memory.n_blocks + 1
+    assert sum(refine_all(pager.memory, SETTINGS)) == pager.memory.n_voxels
+    living.close()
+
+
+def test_other_voxels_and_other_files_are_refused(tmp_path):
+    path = tmp_path / 'map.persem'
+    opened(path)[0].close()
+    with pytest.raises(PersemError, match='was made with memory.voxel_size 0.5, now it is 0.2'):
+        LivingMap(path, updated(Config(), {'memory.voxel_size': 0.2}), Legend())
+    path.write_bytes(b'no map')
+    for _ in range(2):          # and the lock is given back
+        with pytest.raises(PersemError, match='not a map file'):
+            opened(path)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ['map.persem']
+
+
+def test_a_method_that_looks_farther_is_refused(tmp_path):
+    living, pager = opened(tmp_path / 'map.persem')
+    pager.memory.add(flight(1, 1)[0])
+    with pytest.raises(PersemError, match='refine.method geometry needs the whole map in memory'):
+        refine(pager.memory, replace(SETTINGS, method='geometry'))
+    living.close()
