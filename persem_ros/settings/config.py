@@ -281,8 +281,8 @@ class Map:
     max_voxels: int = setting(0, 'voxels in ~/map (node: 2 000 000); 0: all', 'voxels', 0,
                               1 << 32)
     show: str = setting(
-        'nearest', 'voxels that ~/map shows where there are more than map.max_voxels: the nearest or '
-        'the most observed ones (node)', choices=('nearest', 'observed'))
+        'nearest', 'which voxels ~/map shows where map.max_voxels does not do: the nearest or the '
+        'most observed ones (node)', choices=('nearest', 'observed'))
     min_observations: int = setting(1, 'voxels with fewer are left out of ~/map (node)',
                                     'observations', 1, 1 << 20)
     crop: float = setting(
