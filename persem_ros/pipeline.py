@@ -53,6 +53,8 @@ class Pipeline:
     def add(self, frame: Frame) -> Observations:
         """Integrate a frame; return its Observations."""
         observations = self.observe(frame)
+        if self.memory.pager is not None:
+            self.memory.pager.need_voxels(observations.voxels)
         self.memory.add(observations)
         return observations
 
@@ -81,6 +83,9 @@ class Pipeline:
             self, frame: Frame, observations: Observations | None = None) -> NDArray[np.int32]:
         """Return the voxel number of each depth pixel, int32; -1: no depth or unknown."""
         shape = frame.depth.shape
+        if observations is None and self.memory.pager is not None:
+            observations = self.observe(frame)
+            self.memory.pager.need_voxels(observations.voxels)
         if observations is not None:
             return voxel_image(self.memory, observations, shape)
         return voxel_image_of(self.memory, *self._placed(frame), shape)

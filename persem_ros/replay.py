@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, ExitStack
 import functools
 import logging
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.ahead import read_ahead, WriteBehind
 from persem_ros.core.jit import Announcement
+from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine.regions import regions
 from persem_ros.core.warmup import warm_up
 from persem_ros.errors import PersemError
@@ -22,6 +24,7 @@ from persem_ros.inputs.recording.sessions import Sessions
 from persem_ros.outputs.files import write_json, write_text
 from persem_ros.outputs.map import store
 from persem_ros.outputs.map.cloud import map_points
+from persem_ros.outputs.map.lock import WriterLock
 from persem_ros.outputs.map.ply import map_comments, write_ply
 from persem_ros.outputs.progress import progress
 from persem_ros.outputs.recording.refined import RefinedWriter
@@ -273,8 +276,10 @@ def replay(path: Path | str, out: Path | str, config: Config, methods: Sequence[
     """
     methods = chosen_methods(methods, config)
     paths = [path] if isinstance(path, (str, Path)) else list(path)
-    with Sessions(opened_all(paths, config, excerpt)) as recording:
+    with ExitStack() as stack:
+        recording = stack.enter_context(Sessions(opened_all(paths, config, excerpt)))
         config = recording.recordings[-1].config    # with what the looks before took over
+        lock = stack.enter_context(attached(config))
         memory = start_map(config)
         inputs = [part for given in paths for part in finding.split(given)]
         with rundir.building(out, force, keep=(*inputs, config.map.path)) as folder:
@@ -282,7 +287,10 @@ def replay(path: Path | str, out: Path | str, config: Config, methods: Sequence[
             watchers = [*watchers, *([ReportWatcher()] if report else [])]
             job = Replay(recording, folder, config, methods, watchers, memory)
             job.out = Path(out)
-            return job.run_causal() if causal else job.run()
+            result = job.run_causal() if causal else job.run()
+            if lock is not None:        # the whole session, or nothing of it
+                store.save(config.map.path, job.pipeline.memory, config, job.legend)
+            return result
 
 
 def opened_all(paths: Sequence[str | Path], config: Config,
@@ -345,6 +353,28 @@ def start_map(config: Config) -> Any:
     """Return the memory of map.path to go on with, or None."""
     if not config.map.path:
         return None
-    memory = store.load(config.map.path).memory(config)
-    memory.new_session()
+    if config.map.attached and not Path(config.map.path).exists():
+        memory = VoxelMemory(config.memory.voxel_size, config.map.origin,
+                             config.memory.max_history)
+    else:
+        memory = store.load(config.map.path).memory(config)
+        memory.new_session()
+    memory.keeps_all = config.map.attached
     return memory
+
+
+@contextmanager
+def attached(config: Config) -> Iterator[WriterLock | None]:
+    """Hold the right to write map.path where map.attached asks for it; else give None."""
+    if not config.map.attached:
+        yield None
+        return
+    if not config.map.path:
+        raise PersemError('map.attached needs a file: --set map.path=map.persem')
+    path = Path(config.map.path)
+    lock = WriterLock(path)
+    try:
+        store.fold_log(path, locked=True)
+        yield lock
+    finally:
+        lock.close()

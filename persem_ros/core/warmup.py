@@ -12,6 +12,7 @@ from persem_ros.core.memory.capture import dump
 from persem_ros.core.memory.changes import Changes
 from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.evict import keep_near
+from persem_ros.core.memory.paging import block_numbers
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine.job import begin_next, finish, label, refine
 from persem_ros.core.refine.regions import regions
@@ -56,6 +57,7 @@ def warm_up() -> None:
     render(voxel_image(memory, seen, depth.shape), labelled)
     render_map(memory, voxel_image(memory, seen, depth.shape), source=True)
     Changes().take(memory)
+    block_numbers(memory, np.zeros((1, 3), np.int32))
     pixels = placed(frame, Memory(), memory.voxel_size, memory.origin)
     render(voxel_image_of(memory, *pixels, depth.shape), labelled)
     EmaImages(0.5).update(labels)

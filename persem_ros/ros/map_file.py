@@ -11,9 +11,11 @@ from typing import Any, NamedTuple
 
 from persem_ros.core.memory.capture import dump
 from persem_ros.core.memory.dump import MemoryDump
+from persem_ros.core.memory.paging import Pager
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.errors import PersemError
 from persem_ros.outputs.map import store
+from persem_ros.outputs.map.living import LivingMap
 from persem_ros.settings.config import Config
 from persem_ros.settings.legend import Legend
 
@@ -55,6 +57,8 @@ class MapFile:
         self.legend: Legend | None = None
         self._saving = threading.Lock()
         self._held: dict[Path, _Held] = {}
+        self._living: LivingMap | None = None
+        self._pager: Pager | None = None
 
     def begin(self, config: Config) -> VoxelMemory | None:
         """
@@ -63,6 +67,8 @@ class MapFile:
         Says at the start what a save at the end would do, and refuses what it could not do.
 
         """
+        if config.map.attached:
+            return self._attach(config)
         problem = unusable(config)
         if problem:
             raise PersemError(problem)
@@ -80,6 +86,51 @@ class MapFile:
                         'it aside to %s.<date> first; to go on with it: --set map.load=true',
                         path, path.name)
         return None
+
+    def renew(self, config: Config) -> VoxelMemory | None:
+        """Return the memory of an empty map where one is attached; its file is moved aside."""
+        if self._living is None:
+            return None
+        path = path_of(config)
+        self._detach()
+        aside = _second_name(path)
+        path.unlink(missing_ok=True)
+        log.warning('%s is now %s; an empty map begins', path, aside)
+        return self._attach(config)
+
+    def described(self) -> str:
+        """Return what the attached file holds, in one sentence."""
+        assert self._living is not None
+        return f'saved {self._living.voxels} voxels to {self._living.path}'
+
+    def _attach(self, config: Config) -> VoxelMemory:
+        """Return a memory of which map.path holds the rest."""
+        if not config.map.path:
+            raise PersemError('map.attached needs a file: --set map.path=/absolute/path/'
+                              'map.persem')
+        if config.refine.method == 'geometry':
+            raise PersemError('refine.method geometry needs the whole map in memory; choose '
+                              'another method, or map.attached=false')
+        self._living = LivingMap(path_of(config), config, self._legend)
+        memory = self._living.memory()
+        self._pager = Pager(memory, self._living)
+        found = self._living.stored_legend
+        self.legend = found if found.classes else None
+        log.info('%s is attached, with %d voxels', self._living.path, self._living.voxels)
+        return memory
+
+    def _detach(self) -> bool:
+        """Save and close the attached file; return whether the save went well."""
+        assert self._living is not None and self._pager is not None
+        try:
+            self._pager.save()
+            return True
+        except PersemError as error:
+            log.error('%s', error)
+            return False
+        finally:
+            self._living.close()
+            self._living = None
 
     def load(self, config: Config) -> VoxelMemory:
         """Return the memory of map.path, in a new session."""
@@ -131,6 +182,11 @@ class MapFile:
 
     def end(self, config: Config, memory: VoxelMemory, mapped: bool) -> bool:
         """Save at the end where map.save asks for it; return whether that went well."""
+        if self._living is not None:
+            living, well = self._living, self._detach()
+            if well:
+                log.info('saved %d voxels to %s', living.voxels, living.path)
+            return well
         if not config.map.save:
             return True
         path = config.map.path

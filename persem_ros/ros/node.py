@@ -63,6 +63,7 @@ class Mapper(Node):
         self.map_file = MapFile(lambda: self.statistics.forgotten, lambda: self.legend)
         memory = self.map_file.begin(config)
         self.worker = Worker(config, self.statistics, memory)
+        self.worker.renew = lambda: self.map_file.renew(self.worker.config)
         self.inbox = Inbox(config.sync, self.worker.lost)
         decode = Decoder()
         self.intake = LiveIntake(config, decode, self.statistics.dropped, self.worker.jumped,

@@ -37,6 +37,7 @@ class Refiner:
         self._asked = []        # futures of those who want a full refinement from here on
         self._served = []       # futures of those for whom one is under way, slice by slice
         self._asked_at = 0.0    # when that one began
+        self.held = False       # whether none may begin
 
     @property
     def busy(self):
@@ -51,7 +52,7 @@ class Refiner:
         Returns whether one has begun after which there is nothing left to refine.
 
         """
-        if self._job is not None:
+        if self._job is not None or self.held:
             return False
         if memory.n_voxels:
             due = stale and time.monotonic() - self._began >= settings.period

@@ -2,8 +2,11 @@
 
 from concurrent.futures import ThreadPoolExecutor
 import logging
+import threading
+import time
 
 from persem_ros.core.memory.capture import Capture
+from persem_ros.core.refine.job import refine_all
 from persem_ros.errors import PersemError
 from persem_ros.ros.map_file import path_of
 from persem_ros.ros.wording import as_ros
@@ -33,6 +36,7 @@ class Services:
         """Advertise the services."""
         self._worker, self._map_file = worker, map_file
         self._threads = ThreadPoolExecutor(4, 'service')
+        self._refining = threading.Lock()
         self._done = node.create_guard_condition(lambda: None)
         # A group of its own: a service that waits would keep everything else of its group waiting.
         group = ReentrantCallbackGroup()
@@ -42,15 +46,23 @@ class Services:
 
     def refine(self):
         """Refine the whole map with a fresh volatility; what came before it is part of it."""
+        if self._worker.memory.pager is not None:
+            return self._refine_attached()
         visited, took = self._worker.call(self._worker.refiner.ask).result().result()
         return f'refined {visited} voxels in {took:.3f} s'
 
     def save_map(self):
         """Save to map.path; the worker copies what is needed in slices between frames."""
+        if self._worker.memory.pager is not None:
+            self._worker.call(self._worker.checkpoints.ask).result().result()
+            return self._map_file.described()
         return self._map_file.save(self._worker.config, self._captured)
 
     def load_map(self):
         """Load map.path in place of the map."""
+        if self._worker.memory.pager is not None:
+            raise PersemError(f'{path_of(self._worker.config)} is attached, it is the map '
+                              'already; start the node with another map.path')
         memory = self._map_file.load(self._worker.config)
         self._worker.call(self._worker.replace, memory, self._map_file.legend).result()
         return f'loaded {memory.n_voxels} voxels from {path_of(self._worker.config)}'
@@ -70,6 +82,31 @@ class Services:
     def close(self):
         """Wait for what is under way."""
         self._threads.shutdown()
+
+    def _refine_attached(self):
+        """Refine what is in memory and in the file, step by step between frames."""
+        worker, begun, visited = self._worker, time.monotonic(), 0
+        with self._refining:
+            try:
+                worker.refiner.held = True
+                while worker.refiner.busy:
+                    time.sleep(0.01)
+                steps = refine_all(worker.memory, worker.config.refine)
+                while (step := worker.call(next, steps, None).result()) is not None:
+                    visited += step
+                    self._wait_for_room()
+                worker.call(worker.refined).result()
+            finally:
+                worker.refiner.held = False
+        if not visited:
+            raise PersemError('the map is empty, there is nothing to refine')
+        return f'refined {visited} voxels in {time.monotonic() - begun:.3f} s'
+
+    def _wait_for_room(self):
+        """Let a checkpoint make room where memory is crowded and the disk keeps up."""
+        worker, bound = self._worker, self._worker.config.memory.max_voxels
+        while 0 < 1.2 * bound < worker.memory.n_voxels and not worker.checkpoints.failing:
+            worker.call(worker.checkpoints.ask).result().result()
 
     def _captured(self):
         """Return what MapFile.copied() does."""

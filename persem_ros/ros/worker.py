@@ -18,6 +18,7 @@ from persem_ros.inputs.intake import LEGEND
 from persem_ros.inputs.live import BEHIND
 from persem_ros.inputs.sync.pairing import DEPTH, NO_DEPTH, QUEUE_FULL
 from persem_ros.pipeline import Pipeline
+from persem_ros.ros.checkpoints import CANNOT, Checkpoints
 from persem_ros.ros.images import NO_SOURCE
 from persem_ros.ros.losses import remedy
 from persem_ros.ros.refiner import Refiner
@@ -65,6 +66,8 @@ class Worker(threading.Thread):
         self.paused = False
         self.ready = threading.Event()
         self.refiner = Refiner(statistics, self._wake)
+        self.checkpoints = Checkpoints(self._wake)
+        self.renew = lambda: None       # gives the memory of an empty map, None: any
         self._calls = queue.SimpleQueue()
         self._ending = False
         self._mapped = self._trimmed = self._looked = self._changed = time.monotonic()
@@ -131,6 +134,7 @@ class Worker(threading.Thread):
         while not self._calls.empty():
             self._calls.get()[0].set_exception(PersemError('the node is shutting down'))
         self.refiner.close()
+        self.checkpoints.close()
         self.map.close()
 
     def run(self):
@@ -166,14 +170,23 @@ class Worker(threading.Thread):
     def reset(self):
         """Forget the map and whatever waits; return how many voxels there were."""
         count = self.memory.n_voxels
-        self.replace(None)
+        self._begin_anew()
         self.intake.clear()
         return count
+
+    def _begin_anew(self):
+        """Go on with an empty map; a file that is attached is moved aside."""
+        self.checkpoints.settle()
+        self.replace(self.renew())
+
+    def refined(self):
+        """Show the map anew: labels have changed."""
+        self._stale |= {'map', 'changes'}
 
     def jumped(self):
         """Time went back: a new session begins, or a new map."""
         if self.config.map.on_time_jump == 'reset':
-            self.replace(None)
+            self._begin_anew()
         else:
             self.memory.new_session()
         log.warning('time went back (a recording that loops, or a clock that was set): queues '
@@ -238,6 +251,9 @@ class Worker(threading.Thread):
         if self.refiner.finish(self.memory):
             self._stale |= {'map', 'changes'}
         self._forget_far()
+        if self.memory.pager is not None:
+            self.checkpoints.step(self.memory.pager, self.config.map.checkpoint,
+                                  self.config.memory.max_voxels)
         if self.refiner.begin(self.memory, self.config.refine, self._unrefined):
             self._unrefined = False
         self._publish_map()
@@ -253,6 +269,9 @@ class Worker(threading.Thread):
 
     def _frame(self, frame, now):
         """Integrate one frame, publish what is wanted of it."""
+        if self._overfull():
+            self.statistics.dropped[CANNOT] += 1
+            return
         try:
             observations = None if self.paused else self.pipeline.add(frame)
         except PersemError as error:
@@ -269,12 +288,22 @@ class Worker(threading.Thread):
             self._unrefined = True
         self.statistics.frame((time.monotonic_ns() - now) / 1e9)
 
+    def _overfull(self):
+        """Return whether memory has no room for what the map's file does not take."""
+        bound = self.config.memory.max_voxels
+        return self.memory.pager is not None and self.checkpoints.failing and \
+            0 < 2 * bound < self.memory.n_voxels
+
     def _forget_far(self):
         """Keep the map within memory.keep_radius and memory.max_voxels, between refinements."""
         bounds = self.config.memory
         if self.refiner.busy or not self.memory.frames or \
                 not (bounds.max_voxels or bounds.keep_radius) or \
                 time.monotonic() - self._trimmed < TRIM:
+            return
+        if self.memory.pager is not None:
+            self._trimmed = time.monotonic() - TRIM * (0 < self.memory.pager.let_go(
+                self._position, bounds.max_voxels, bounds.keep_radius, AT_ONCE))
             return
         gone = keep_near(self.memory, self._position, bounds.keep_radius, bounds.max_voxels,
                          AT_ONCE)

@@ -276,6 +276,11 @@ class Map:
     load: bool = setting(False, 'load map.path at the start (node; a replay always does)',
                          live=False)
     save: bool = setting(False, 'save to map.path at the end (node)')
+    attached: bool = setting(
+        False, 'map.path is the living map, memory holds a part of it; implies load and save, '
+        'and nothing is ever forgotten', live=False)
+    checkpoint: float = setting(10.0, 'time between two checkpoints of an attached map (node)',
+                                's', 0.1, 3600.0)
     rate: float = setting(0.5, 'how often ~/map is published where it changed (node); 0: never',
                           'Hz', 0.0, 50.0)
     max_voxels: int = setting(0, 'voxels in ~/map (node: 2 000 000); 0: all', 'voxels', 0,

@@ -33,7 +33,7 @@ SETTINGS = replace(Refine(), min_observations=1)
 
 def opened(path):
     """Return a LivingMap and its Pager."""
-    living = LivingMap(path, Config(), Legend())
+    living = LivingMap(path, Config(), Legend)
     return living, Pager(living.memory(), living)
 
 
@@ -241,7 +241,7 @@ def test_other_voxels_and_other_files_are_refused(tmp_path):
     path = tmp_path / 'map.persem'
     opened(path)[0].close()
     with pytest.raises(PersemError, match='was made with memory.voxel_size 0.5, now it is 0.2'):
-        LivingMap(path, updated(Config(), {'memory.voxel_size': 0.2}), Legend())
+        LivingMap(path, updated(Config(), {'memory.voxel_size': 0.2}), Legend)
     path.write_bytes(b'no map')
     for _ in range(2):          # and the lock is given back
         with pytest.raises(PersemError, match='not a map file'):

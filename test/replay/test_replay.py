@@ -22,6 +22,7 @@ from persem_ros.errors import PersemError
 from persem_ros.frames import pinhole
 from persem_ros.inputs.recording.recording import Recording
 from persem_ros.inputs.recording.source import Source
+from persem_ros.outputs.map.lock import WriterLock
 from persem_ros.outputs.recording.writer import RecordingWriter
 from persem_ros.outputs.results.rundir import FILES
 from persem_ros.pipeline import Pipeline
@@ -421,6 +422,24 @@ def test_two_halves_make_the_whole_in_two_sessions(recording, tmp_path):
     # The other half's frames look the same from either map.
     assert [image.tolist() for *_, image in refined_images(tmp_path / 'b')] == \
         [image.tolist() for *_, image in refined_images(tmp_path / 'whole')[6:]]
+
+
+def test_an_attached_map_takes_a_session_whole_or_not_at_all(recording, tmp_path):
+    path = tmp_path / 'map.persem'
+    config = config_of({'map.path': str(path), 'map.attached': True, 'memory.max_history': 2})
+    for n in (1, 2):
+        run(recording, tmp_path / f'out{n}', config)
+        saved = replays.store.load(path).saved
+        assert saved.frames.session.tolist() == [s for s in range(n) for _ in range(12)]
+        assert len(saved.history_frame) == saved.observations.sum()     # nothing was dropped
+    before = path.read_bytes()
+    with pytest.raises(PersemError):
+        run(recording, tmp_path / 'out1', config)           # not empty
+    lock = WriterLock(path)
+    with pytest.raises(PersemError, match='is being written by'):
+        run(recording, tmp_path / 'out3', config)
+    lock.close()
+    assert path.read_bytes() == before
 
 
 def half(recording, path, begin, end):

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from persem_ros.core.refine.snapshot import Snapshot
     from persem_ros.settings.config import Refine
 
-AT_ONCE = 256       # blocks of a step of refine_all()
+AT_ONCE = 64        # blocks of a step of refine_all()
 # Methods that look no farther than a voxel's neighbours: a part of the map at a time will do.
 SWEPT = {'majority', *fusion.MODES, *selection.METHODS}
 

@@ -8,6 +8,7 @@ transaction: after whatever end the file holds one state whole. At a clean end t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 import logging
 from pathlib import Path
@@ -50,17 +51,20 @@ class LivingMap:
         The file; made where there is none.
     config : Config
         Settings in force; refused where voxels of these would not fit the map's.
-    legend : Legend
-        Names and colours of the classes.
+    legend : callable
+        legend() gives names and colours of the classes.
 
     Attributes
     ----------
+    stored_legend : Legend
+        The file's own when it was opened.
     damaged : set
         Indices of blocks that could not be read; they count as never observed.
 
     """
 
-    def __init__(self, path: Path, config: Config, legend: Legend) -> None:
+    def __init__(self, path: Path, config: Config, legend: Callable[[], Legend],
+                 ) -> None:
         self.path, self.config, self.legend = path, config, legend
         self.damaged: set[tuple[int, ...]] = set()
         self._writing = threading.Lock()
@@ -95,10 +99,13 @@ class LivingMap:
     def read(self, index: NDArray[np.int32]) -> Blocks:
         """Return those of the blocks with the given indices (n, 3) that are there."""
         rows = []
-        for key in index.tolist():
-            row = self._reader.execute(f'SELECT * FROM blocks WHERE {PLACE}', key).fetchone()
-            if row is not None and tuple(key) not in self.damaged and self._whole(row):
-                rows.append(row)
+        try:
+            for key in index.tolist():
+                row = self._reader.execute(f'SELECT * FROM blocks WHERE {PLACE}', key).fetchone()
+                if row is not None and tuple(key) not in self.damaged and self._whole(row):
+                    rows.append(row)
+        except sqlite3.Error as error:
+            raise PersemError(f'{self.path} cannot be read ({error})') from error
         return blocks_of(rows)
 
     def write(self, changed: MemoryDump) -> None:
@@ -141,7 +148,7 @@ class LivingMap:
         path = self.path
         if not path.exists():
             empty = VoxelMemory(self.config.memory.voxel_size, self.config.map.origin)
-            store.save(path, empty, self.config, self.legend)
+            store.save(path, empty, self.config)
         head = store.head(path)
         if head.schema != SCHEMA:
             whole = store.load(path)
@@ -149,6 +156,7 @@ class LivingMap:
             head = store.head(path)
         head.stored.check_fits(self.config)
         self._state, self._about = head.stored.saved, head.about
+        self.stored_legend = head.stored.legend
         self._n_frames = len(self._state.frames)
         self._frames_crc = self._about['frames_crc']
         self._t, self._seen = self._state.frames.t, self._state.seen_ids
@@ -186,7 +194,7 @@ class LivingMap:
                            rows)
         about = {**self._about, **counts, 'session': changed.session, 'frames_crc': crc,
                  'refined': int(changed.rho is not None),
-                 'settings': config_file.to_yaml(self.config), 'legend': self.legend.to_yaml()}
+                 'settings': config_file.to_yaml(self.config), 'legend': self.legend().to_yaml()}
         about['crc'] = crc_of(about_rows(about, small))
         db.executemany('INSERT OR REPLACE INTO about VALUES (?, ?)', about.items())
         return about, crc

@@ -25,9 +25,10 @@ from persem_ros.core.memory.capture import dump
 from persem_ros.core.memory.dump import load as load_memory, MemoryDump
 from persem_ros.core.memory.pools import SIDE
 from persem_ros.errors import PersemError
-from persem_ros.guard.database import check_tables, checked, held_by, opened
+from persem_ros.guard.database import check_tables, checked, harden, held_by, opened
 from persem_ros.outputs.files import replacing
 from persem_ros.outputs.map import schema1
+from persem_ros.outputs.map.lock import WriterLock
 from persem_ros.outputs.map.rows import from_rows, KINDS, NAMES, ORDER, SCHEMA, TABLES, to_rows
 from persem_ros.settings import config_file
 from persem_ros.settings.legend import Legend
@@ -139,6 +140,7 @@ def save(path: Path, memory: VoxelMemory, config: Config, legend: Legend | None 
     rows = to_rows(saved, {'settings': config_file.to_yaml(config),
                            'map_frame': config.frames.map,
                            'legend': legend.to_yaml() if legend is not None else ''})
+    fold_log(path)
     with replacing(path) as work:
         try:
             with closing(sqlite3.connect(work, isolation_level=None)) as db:
@@ -153,6 +155,34 @@ def save(path: Path, memory: VoxelMemory, config: Config, legend: Legend | None 
             _keep_schema_1(path)
         except sqlite3.Error as error:
             raise PersemError(f'cannot write {path}: {error}') from error
+
+
+def fold_log(path: Path | str, locked: bool = False) -> None:
+    """
+    Bring the log that a killed writer left beside a map file into the file.
+
+    Raises
+    ------
+    PersemError
+        Where a writer is at work (unless we are the writer: *locked*), and for a damaged file.
+
+    """
+    path = Path(path)
+    if not path.exists() or held_by(path) == path.stat().st_size:
+        return
+    lock = None if locked else WriterLock(path)
+    try:
+        with closing(sqlite3.connect(path, isolation_level=None)) as db:
+            harden(db)
+            check_tables(db, NAMES)
+            db.execute('PRAGMA wal_checkpoint(TRUNCATE)').fetchall()
+            db.execute('PRAGMA journal_mode = DELETE').fetchall()
+    except (sqlite3.Error, ValueError) as error:
+        raise PersemError(f'{path}: damaged, or its log cannot be brought into it '
+                          f'({_why(error)}); move both aside') from error
+    finally:
+        if lock is not None:
+            lock.close()
 
 
 def _keep_schema_1(path: Any) -> None:
