@@ -4,6 +4,7 @@
 # make lint          flake8 and pydocstyle with the rules of ament_flake8 and ament_pep257; mypy
 # make test-matrix   the tests with NumPy 1.26 + OpenCV 4 and with NumPy 2 + OpenCV 5
 # make ros-test      test/ros against the ROS 2 in /opt/ros/jazzy
+# make bench-long   a survey larger than its memory; ARGS="--voxels 5e7"
 # make bench-live  the node under load, through real DDS
 # make fuzz         files that mean harm, for MINUTES=30; prints its seed (SEED=n repeats it)
 # make clean         away with everything that these made
@@ -15,7 +16,7 @@ RUN := $(VENV)/bin/python
 PEP257 := --ignore=D100,D101,D102,D103,D104,D105,D106,D107,D203,D212,D404 --match='.*\.py'
 
 .DELETE_ON_ERROR:
-.PHONY: test demo bench lint test-matrix ros-test bench-live fuzz clean
+.PHONY: test demo bench bench-long lint test-matrix ros-test bench-live fuzz clean
 # A sourced ROS would put its own pytest plugins and messages into our environment.
 unexport PYTHONPATH
 
@@ -29,6 +30,9 @@ demo: $(VENV)/installed
 
 bench: $(VENV)/installed-bench
 	$(RUN) benchmarks/run.py $(ARGS)
+
+bench-long: $(VENV)/installed
+	$(RUN) benchmarks/long.py $(ARGS)
 
 lint: $(VENV)/installed-lint
 	$(RUN) -m flake8
