@@ -35,6 +35,7 @@ from persem_ros.settings.config import Config
 from persem_ros.settings.legend import Legend
 
 log = logging.getLogger(__name__)
+DAMAGED = ValueError, TypeError, IndexError, OverflowError
 PLACE = 'x = ? AND y = ? AND z = ?'
 OBSERVED = [name for name, _ in COLUMNS].index('observations')
 
@@ -97,16 +98,17 @@ class LivingMap:
         return np.array(rows, np.int32).reshape(-1, 3)
 
     def read(self, index: NDArray[np.int32]) -> Blocks:
-        """Return those of the blocks with the given indices (n, 3) that are there."""
-        rows = []
+        """Return those of the blocks with the given, ascending, indices (n, 3) that are there."""
         try:
-            for key in index.tolist():
-                row = self._reader.execute(f'SELECT * FROM blocks WHERE {PLACE}', key).fetchone()
-                if row is not None and tuple(key) not in self.damaged and self._whole(row):
-                    rows.append(row)
+            rows = [row for key in index.tolist() for row in self._reader.execute(
+                f'SELECT * FROM blocks WHERE {PLACE}', key)
+                if row[:3] not in self.damaged]
         except sqlite3.Error as error:
             raise PersemError(f'{self.path} cannot be read ({error})') from error
-        return blocks_of(rows)
+        try:
+            return self._checked(rows)
+        except DAMAGED:
+            return self._checked([row for row in rows if self._whole(row)])
 
     def write(self, changed: MemoryDump) -> None:
         """
@@ -199,12 +201,18 @@ class LivingMap:
         db.executemany('INSERT OR REPLACE INTO about VALUES (?, ?)', about.items())
         return about, crc
 
+    def _checked(self, rows: list[Any]) -> Blocks:
+        """Return what rows hold; raise one of DAMAGED where they are not as they were written."""
+        blocks = blocks_of(rows)
+        check_blocks(blocks, self._t, self._seen)
+        return blocks
+
     def _whole(self, row: tuple[Any, ...]) -> bool:
         """Return whether a block is as it was written; say so once where it is not."""
         try:
-            check_blocks(blocks_of([row]), self._t, self._seen)
+            self._checked([row])
             return True
-        except (ValueError, TypeError, IndexError, OverflowError) as error:
+        except DAMAGED as error:
             self.damaged.add(tuple(row[:3]))
             log.warning('%s: block %s is damaged (%s) and left out; the rest of the map lives',
                         self.path, row[:3], error)
