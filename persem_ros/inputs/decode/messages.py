@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.transforms import transform
 from persem_ros.errors import PersemError
-from persem_ros.inputs.decode import compressed
+from persem_ros.inputs.decode import compressed, px4
 
 LABELS = {'mono8': 'u1', '8UC1': 'u1', 'mono16': 'u2', '16UC1': 'u2', '16SC1': 'i2',
           '32SC1': 'i4'}
@@ -233,7 +233,7 @@ def pose(msg: Any) -> tuple[int, NDArray[np.float64], str, str]:
 
     Parameters
     ----------
-    msg : PoseStamped, PoseWithCovarianceStamped, Odometry or TransformStamped
+    msg : PoseStamped, PoseWithCovarianceStamped, Odometry, TransformStamped or VehicleOdometry
         All of them say where a child frame is in a parent frame.
 
     Returns
@@ -251,6 +251,11 @@ def pose(msg: Any) -> tuple[int, NDArray[np.float64], str, str]:
         A position that is not finite, a quaternion whose norm is not within 1e-2 of 1.
 
     """
+    if hasattr(msg, 'timestamp_sample'):
+        try:
+            return px4.pose(msg)
+        except ValueError as error:
+            raise BadMessage(*error.args) from None
     if hasattr(msg, 'transform'):
         position, rotation = msg.transform.translation, msg.transform.rotation
     else:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from typing import Any
 
+from persem_ros.inputs.decode import px4
 from persem_ros.inputs.decode.messages import BadMessage
 from rosbags.serde import SerdeError
 from rosbags.typesys import get_types_from_msg, get_typestore, Stores
@@ -26,6 +27,8 @@ class Decoder:
     def __call__(self, data: bytes, typename: str) -> Any:
         """Return the message; BadMessage where its bytes are damaged."""
         try:
+            if typename == px4.TYPE:
+                return px4.decoded(data)
             return self._store.deserialize_cdr(data, typename)
         # Damaged bytes: lengths that lead out of them, text that is none.
         except (SerdeError, LookupError, OverflowError, AssertionError, ValueError) as error:

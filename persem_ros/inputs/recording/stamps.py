@@ -6,6 +6,7 @@ import functools
 import struct
 from typing import Any
 
+from persem_ros.inputs.decode import px4
 from rosbags.typesys import get_typestore, Stores
 
 TF = 'tf2_msgs/msg/TFMessage'
@@ -40,6 +41,8 @@ def stamp_of(msgtype: str, head: bytes) -> int | None:
         None for a type without a header, an empty TFMessage and a message that ends before.
 
     """
+    if msgtype == px4.TYPE:
+        return px4.stamp_of(head)
     at = offset(msgtype)
     if at is None or len(head) < at + 8:
         return None

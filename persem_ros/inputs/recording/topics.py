@@ -8,7 +8,7 @@ from shlex import quote
 from typing import Any, TYPE_CHECKING
 
 from persem_ros.errors import PersemError
-from persem_ros.inputs.decode import clouds, legends, messages
+from persem_ros.inputs.decode import clouds, legends, messages, px4
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.settings.config import Topics, topics_of
 
@@ -23,7 +23,8 @@ TF = 'tf2_msgs/msg/TFMessage'
 POSES = {'PoseStamped': 'geometry_msgs/msg/PoseStamped',
          'PoseWithCovarianceStamped': 'geometry_msgs/msg/PoseWithCovarianceStamped',
          'Odometry': 'nav_msgs/msg/Odometry',
-         'TransformStamped': 'geometry_msgs/msg/TransformStamped'}
+         'TransformStamped': 'geometry_msgs/msg/TransformStamped',
+         'VehicleOdometry': px4.TYPE}
 NEEDED = {'labels': 'label images', 'depth': 'depth images', 'camera_info': 'camera infos',
           'pose': 'poses'}
 OPTIONAL = {'truth': 'true label images', 'color': 'colour images',
