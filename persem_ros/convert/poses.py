@@ -49,7 +49,7 @@ class Poses:
     order: str = ''
     other: Poses | None = None
 
-    def add(self, key: str, T: NDArray[np.float64]) -> None:
+    def add(self, key: str, T: NDArray[np.float64] | None) -> None:
         """Take the pose of a frame, None for a lost one."""
         if T is None:
             self.lost.append(key)

@@ -256,8 +256,11 @@ class Intake:
         if info_frame is None:
             return Lookup(None, False, NO_INFO)
         lidar = depth.msgtype == clouds.TYPE
-        frame_id = (labels if lidar else depth).frame_id or labels.frame_id or info_frame
+        given = self.config.camera.frame
+        frame_id = given or (labels if lidar else depth).frame_id or labels.frame_id or info_frame
         found = self._found(poses, match.stamp, frame_id)
+        if given and not lidar:
+            return found
         other = (depth if lidar else labels).frame_id or frame_id
         if found.T is None or other == frame_id and not lidar:
             return found

@@ -1,17 +1,22 @@
 """Depth images and their camera infos: whether they can be read, and as what."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
-from persem_ros.inputs.assemble import is_cloud
+from persem_ros.inputs.assemble import Assembler, is_cloud
 from persem_ros.inputs.decode import messages
 from persem_ros.inputs.decode.camera import check as check_info
 from persem_ros.inputs.decode.messages import BadMessage
+from persem_ros.preflight import axes_fit
 from persem_ros.preflight.depth_fit import about_depth, Seen
-from persem_ros.preflight.findings import Finding, REFUSE, WARN
-from persem_ros.preflight.sample import Sample, Stamps, View
+from persem_ros.preflight.findings import Finding, REFUSE, Remedy, WARN
+from persem_ros.preflight.sample import Sample, Shot, Stamps, View
 
+FULL = 65535            # of 16UC1
+SOME = 0.005            # share of the depths that are one number …
+BEYOND = 1.5            # … and so many times farther than (almost) all others
 ANCHORS = 4             # places of a recording
 STEPS = (0, 1, 3, 8)    # frames from there
 
@@ -26,6 +31,8 @@ def check(sample: Sample) -> Iterator[Finding]:
             yield from _unreadable(view, 'depth', 'depth images', messages.depth)
         yield from _unreadable(view, 'camera_info', 'camera infos',
                                lambda msg: check_info(msg, rectified))
+        if not is_cloud_of(view):
+            yield from _unfitting(view, sample)
 
 
 def check_fit(sample: Sample) -> Iterator[Finding]:
@@ -38,6 +45,11 @@ def check_fit(sample: Sample) -> Iterator[Finding]:
         placed = [stamp for stamp in stamps if found[stamp] is not None]
         shots = view.shots(placed)
         seen = [Seen(*shots[stamp], found[stamp]) for stamp in placed if stamp in shots]
+        yield from _no_measurements(shots, _unit(view, sample.config.depth.scale), sample)
+        axes = list(axes_fit.check(view, sample, seen))
+        yield from axes
+        if axes:
+            continue
         for sentence in about_depth(seen, sample.config, _unit(view, sample.config.depth.scale)):
             yield Finding(WARN, sentence)
 
@@ -58,6 +70,47 @@ def _unit(view: View, scale: float) -> float:
     """Return the metres per unit with which a camera's depth images are read."""
     encoding = getattr(view.firsts['depth'][0], 'encoding', '') or '16UC1'
     return messages.unit_of(np.dtype(messages.DEPTH.get(encoding, 'u2')), scale)
+
+
+def _unfitting(view: View, sample: Sample) -> Iterator[Finding]:
+    """Yield why no first depth image goes with its camera info, where both can be read."""
+    assembler, fault = Assembler(sample.config), None
+    for info in view.firsts.get('camera_info', ()):
+        with suppress(BadMessage):
+            assembler.add_info(info)
+    if assembler.frame_id is None:
+        return
+    for msg in view.firsts.get('depth', ()):
+        try:
+            messages.depth(msg)
+        except BadMessage:      # said already
+            continue
+        try:
+            assembler.seen(msg)
+            return
+        except BadMessage as error:
+            fault = fault or error
+    if fault:
+        yield Finding(REFUSE, f'{view.topics["depth"]} with {view.topics["camera_info"]}: {fault}',
+                      (Remedy({view.setting('camera_info'): 'TOPIC'}, 'names another topic'),))
+
+
+def _no_measurements(shots: Mapping[int, Shot], unit: float, sample: Sample) -> Iterator[Finding]:
+    """Yield a largest depth that stands for "nothing": a full number, or a far plane."""
+    values = np.concatenate([np.zeros(0), *(shot.depth.ravel() for shot in shots.values())])
+    values = values[values > 0.0]
+    if not values.size:
+        return
+    top = values.max()
+    share, rest = np.mean(values == top), values[values < top]
+    full = np.isclose(top, FULL * unit)
+    if top > sample.config.memory.max_depth or share < SOME or not rest.size or not (
+            full or top > BEYOND * np.percentile(rest, 99)):
+        return
+    what = f'{FULL}, the largest number that there is' if full else \
+        'the same largest number, as if there were nothing (sky, a far plane)'
+    yield Finding(WARN, f'{100 * share:.1f} % of the depths are {top:.4g} m, {what}',
+                  (Remedy({'memory.max_depth': f'{0.99 * top:.3g}'}, 'leaves them out'),))
 
 
 def _unreadable(view: View, role: str, what: str,

@@ -1,6 +1,6 @@
 """Is depth in metres along the optical axis? Its numbers tell, and frames that see one place."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 import math
 from typing import NamedTuple
 
@@ -59,9 +59,9 @@ def about_depth(frames: Sequence[Seen], config: Config, unit: float = 1.0) -> It
               and np.array_equal(f.camera.K, frames[0].camera.K)]
     if not frames:
         return
-    depths = {i: _measured(frame.depth) for i, frame in enumerate(frames)}
-    moves = _moves(frames, depths)
-    now = _error([misses(depths[i], depths[j], T, frames[0].camera.K) for (i, j), T in moves])
+    depths = {i: measured(frame.depth) for i, frame in enumerate(frames)}
+    moves = moves_of(frames, depths)
+    now = error_of(depths, moves, frames[0].camera.K)
     agree = now <= AGREE        # so well that no other reading is worth its computation
     wrong = not agree and _by_motion(frames, depths, unit) \
         or _by_numbers(depths, config.memory, unit)
@@ -107,8 +107,8 @@ def _kind(frames: Sequence[Seen], depths: dict[int, NDArray],
     lengths = np.sqrt(1.0 + (frames[0].camera.rays ** 2).sum(-1))
     other, scale = ('z', lengths) if kind == 'ray' else ('ray', 1.0 / lengths)
     K = frames[0].camera.K
-    a = _error([misses(depths[i], depths[j], T, K) for (i, j), T in moves])
-    b = _error([misses(depths[i] * scale, depths[j] * scale, T, K) for (i, j), T in moves])
+    a = error_of(depths, moves, K)
+    b = error_of({i: depth * scale for i, depth in depths.items()}, moves, K)
     if b < CLEAR * a and a - b > VISIBLE:
         what = 'the distance along the ray' if other == 'ray' else 'along the optical axis'
         yield (f'the depth looks like {what}: depth of one frame misses that of another by '
@@ -129,20 +129,22 @@ def _pairs(frames: Sequence[Seen], depths: dict[int, NDArray]) -> list[tuple[int
     return list(dict.fromkeys(found))
 
 
-def _moves(frames: Sequence[Seen],
-           depths: dict[int, NDArray]) -> list[tuple[tuple[int, int], NDArray]]:
+def moves_of(frames: Sequence[Seen],
+             depths: dict[int, NDArray]) -> list[tuple[tuple[int, int], NDArray]]:
     """Return the pairs of _pairs(), each with the 4x4 that maps points of i to j."""
     return [((i, j), inverse(frames[j].T_map_camera) @ frames[i].T_map_camera)
             for i, j in _pairs(frames, depths)]
 
 
-def _error(errors: Sequence[NDArray]) -> float:
-    """Return the mean of what misses() gave, cut at WORST; infinity with nothing to compare."""
+def error_of(depths: Mapping[int, NDArray], moves: Sequence[tuple[tuple[int, int], NDArray]],
+             K: NDArray) -> float:
+    """Return the mean of what misses() gives, cut at WORST; infinity with nothing to compare."""
+    errors = [misses(depths[i], depths[j], T, K) for (i, j), T in moves]
     found = np.concatenate([np.zeros(0), *errors])
     found = found[np.isfinite(found)]
     return float(np.minimum(found, WORST).mean()) if found.size else math.inf
 
 
-def _measured(depth: NDArray) -> NDArray[np.float64]:
+def measured(depth: NDArray) -> NDArray[np.float64]:
     """Return a depth image in which 0 alone is no measurement."""
     return np.where(np.isfinite(depth) & (depth > 0.0), depth, 0.0)

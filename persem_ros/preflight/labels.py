@@ -1,19 +1,24 @@
 """Label images: whether they can be read as ids, and whether they fit the depth."""
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from persem_ros.frames import MAX_ID
 from persem_ros.inputs import fit
 from persem_ros.inputs.assemble import is_cloud, other_camera_sentence
 from persem_ros.inputs.decode import clouds, messages
 from persem_ros.inputs.decode.labels import LabelReader, LEGEND
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.intake import SAME
-from persem_ros.preflight.findings import Finding, NOTE, REFUSE, WARN
+from persem_ros.preflight.findings import Finding, NOTE, REFUSE, Remedy, WARN
 from persem_ros.preflight.sample import Sample, View
 from persem_ros.settings.config import Config
 from persem_ros.settings.legend import Legend
 
+SOME = 0.01     # share of pixels whose id is no class
+FEW, MANY = 8, 100      # different ids
 ODD = 0.5       # share of pixels in colours that are none of the legend's: no labels at all
 
 
@@ -24,12 +29,14 @@ def check(sample: Sample) -> Iterator[Finding]:
 
 
 def _view(view: View, config: Config, legend: Legend | None) -> Iterator[Finding]:
-    faults, sizes = [], []
+    faults, sizes, seen = [], [], []
     reader = LabelReader(config.labels)
     for msg in view.firsts.get('labels', ()):
         try:
-            sizes.append(clouds.labels(clouds.structured(msg), config.points.label_field).shape
-                         if is_cloud(msg) else reader(msg, legend)[0].shape)
+            ids = clouds.labels(clouds.structured(msg), config.points.label_field) \
+                if is_cloud(msg) else reader(msg, legend)[0]
+            sizes.append(ids.shape)
+            seen.append(ids)
         except BadMessage as fault:
             faults.append(fault)
     if not sizes:
@@ -43,6 +50,7 @@ def _view(view: View, config: Config, legend: Legend | None) -> Iterator[Finding
                               "legend's: another topic, or another legend (labels.legend)?")
     elif reader.off:
         yield Finding(WARN, reader.note)
+    yield from _ids(np.concatenate([ids.ravel() for ids in seen]), view, config)
     other = _other_camera(view)
     if other:
         yield from other
@@ -59,6 +67,42 @@ def _view(view: View, config: Config, legend: Legend | None) -> Iterator[Finding
         except BadMessage as fault:
             yield Finding(REFUSE, str(fault))
         return
+
+
+def _ids(ids: NDArray[np.int32], view: View, config: Config) -> Iterator[Finding]:
+    """Yield what the ids of some label images look like, if not like classes."""
+    topic = view.topics['labels']
+    large = float(np.mean(ids > MAX_ID))
+    ids = ids[(ids >= 0) & ~np.isin(ids, config.memory.ignore_labels)]
+    found = np.unique(ids)
+    instances = (Remedy({'labels.divisor': '1000'}, 'where an id is class * 1000 + number'),)
+    if large > SOME:
+        yield Finding(REFUSE if large > ODD else WARN,
+                      f'{100 * large:.0f} % of the ids on {topic} are above {MAX_ID}, which is '
+                      'no class', instances)
+    elif len(found) > FEW and found[0] >= 1000 and len(np.unique(found // 1000)) < len(found) / 2:
+        yield Finding(WARN, f'there are {len(found)} ids on {topic}, {found[0]} to {found[-1]}, '
+                            'as if they were of instances', instances)
+    elif len(found) > MANY and found[-1] <= 255:
+        yield Finding(WARN, f'there are {len(found)} ids in a few images on {topic}: is it a grey '
+                            'image?', (Remedy({view.setting('labels'): 'TOPIC'},
+                                              'names another topic'),))
+    elif found.tolist() == [0] and 255 in config.memory.ignore_labels and len(ids) and \
+            any(_is_mask(msg) for msg in view.firsts['labels']):
+        rest = [str(c) for c in config.memory.ignore_labels if c != 255] or ['65535']
+        yield Finding(WARN, f'the ids on {topic} are 0 and 255: if they are a mask, 255 is a '
+                            'class and no pixel to be ignored',
+                      (Remedy({'memory.ignore_labels': f'[{",".join(rest)}]'}, 'counts it'),))
+
+
+def _is_mask(msg: Any) -> bool:
+    """Return whether an image has the ids 0 and 255 and no others."""
+    if is_cloud(msg):
+        return False
+    try:
+        return set(np.unique(messages.labels(msg)[0]).tolist()) == {0, 255}
+    except BadMessage:
+        return False
 
 
 def _other_camera(view: View) -> list[Finding]:

@@ -5,10 +5,11 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.preflight.findings import Finding, REFUSE, Remedy, WARN
+from persem_ros.preflight.findings import Finding, NOTE, REFUSE, Remedy, WARN
 from persem_ros.preflight.sample import Sample, Stamps, View
 
 EXACT = 1_000_000       # ns: stamps that agree, but for their rounding
+SOON = 5_000_000        # ns, in which no network is done
 FINE, FITS, FEW = 0.9, 0.8, 0.5     # shares of the images that could have a partner
 LONGEST = 5_000_000_000             # ns, of a lag that is looked for
 SAMPLE = 2000           # label images
@@ -94,6 +95,8 @@ def _view(view: View, sample: Sample) -> Iterator[Finding]:
     best, count = lags(labels, depth, tolerance)[0]
     fine = now >= FINE * possible and not _steady(off[near], best, count, now)
     if fine or exact >= max(FEW * now, 1):
+        if now == len(labels) and exact == 0:
+            yield from _constant(off, depth, offset)
         return
     severity = WARN if now >= FEW * possible else REFUSE
     low, middle, high = (x / 1e6 for x in np.percentile(off, (5, 50, 95)))
@@ -102,6 +105,20 @@ def _view(view: View, sample: Sample) -> Iterator[Finding]:
             f'({tolerance / 1e6:g} ms)')
     yield Finding(severity, *_advice(said, labels, depth, offset, (best, count), possible,
                                      tolerance))
+
+
+def _constant(off: NDArray[np.int64], depth: Stamps, offset: int) -> Iterator[Finding]:
+    """Yield that all labels are beside their depth by the same: another camera, or a lag."""
+    low, middle, high = (int(x) for x in np.percentile(off, (5, 50, 95)))
+    if high - low > 2 * EXACT or abs(middle) < SOON:
+        return
+    period = int(np.median(np.diff(depth)))
+    late = middle if middle > 0 else middle + period
+    yield Finding(NOTE, f'all label images are {abs(middle) / 1e6:.0f} ms '
+                        f'{"behind" if middle > 0 else "before"} the nearest depth image',
+                  (Remedy({'sync.offset_labels': f'{(offset - late) / 1e9:.3f}'},
+                          'if they are stamped when the network was done, that late, or '
+                          f'whole periods of the depth ({period / 1e6:.0f} ms) later'),))
 
 
 def _advice(said: str, labels: Stamps, depth: Stamps, offset: int, best: tuple[int, int],

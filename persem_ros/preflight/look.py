@@ -37,6 +37,8 @@ def look(sample: Sample) -> list[Finding]:
 
     """
     found: list[Finding] = []
+    for view in sample.views:
+        view.given = sample.config.camera.frame
     for check in (*CHECKS, *FITS):
         if check in FITS and of_severity(found, REFUSE):
             break
@@ -94,6 +96,7 @@ def opened(path: str | Path, config: Config, quiet: bool = False,
         recording = Recording(path, sample.config, source, excerpt)
         if not quiet:
             _say_of_files(recording)
+            recording.said |= {finding.text() for finding in found}
         return recording
     except BaseException:
         source.close()

@@ -1,6 +1,6 @@
 """What the poses place: the camera or the body that carries it, told by depth that agrees."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.sync.poses import NO_MOUNT
 from persem_ros.inputs.sync.track import SLACK
 from persem_ros.preflight.findings import Finding, NOTE, REFUSE, Remedy, WARN
-from persem_ros.preflight.sample import Sample, View
+from persem_ros.preflight.sample import Sample, Shot, View
 
 TURNED = 10.0, 60.0     # degrees between two views that tell readings apart and still overlap
 PAIRS = 10
@@ -82,7 +82,7 @@ def _reading(view: View, sample: Sample) -> Finding:
             Remedy({'pose.child_frame': frame}, 'if they place the camera'))
     if sample.live:
         return Finding(REFUSE, said, both)
-    errors = {name: _residual(view, sample, name) for name in (body, frame)}
+    errors = _residuals(view, sample, (body, frame))
     counts = min(n for _, n in errors.values())
     a, b = errors[body][0], errors[frame][0]
     if counts < LEAST or max(a, b) < DECIDES * min(a, b) or min(a, b) > 0.7 * WORST:
@@ -97,15 +97,26 @@ def _reading(view: View, sample: Sample) -> Finding:
                    takes={'pose.child_frame': taken})
 
 
-def _residual(view: View, sample: Sample, child: str) -> tuple[float, int]:
-    """Return how far depth misses depth if the poses place *child*, and the pixels compared."""
-    view.poses.configure(replace(sample.config.pose, child_frame=child))
+def _residuals(view: View, sample: Sample,
+               children: tuple[str, str]) -> dict[str, tuple[float, int]]:
+    """Return how far depth misses depth if the poses place each child, and the pixels compared."""
     stamps = np.unique(view.stamps['depth'])
     stamps = stamps[np.linspace(0, len(stamps) - 1, min(len(stamps), LOOKED_AT)).astype(int)]
-    placed = {int(s): view.poses.lookup(int(s), view.image_frame).T for s in stamps}
-    known = {s: T for s, T in placed.items() if T is not None}
-    pairs = turned(known)
+    known: dict[str, dict[int, NDArray[np.float64]]] = {}
+    for child in children:
+        view.poses.configure(replace(sample.config.pose, child_frame=child))
+        placed = {int(s): view.poses.lookup(int(s), view.image_frame).T for s in stamps}
+        known[child] = {s: T for s, T in placed.items() if T is not None}
+    # A gimbal may turn the views under one reading alone.
+    pairs = max((turned(known[child]) for child in children), key=len)
+    pairs = [pair for pair in pairs if all(set(pair) <= known[child].keys() for child in children)]
     shots = view.shots({stamp for pair in pairs for stamp in pair})
+    return {child: _residual(known[child], pairs, shots) for child in children}
+
+
+def _residual(known: Mapping[int, NDArray[np.float64]], pairs: Sequence[Move],
+              shots: Mapping[int, Shot]) -> tuple[float, int]:
+    """Return how far the depth of pairs of frames misses, and how many pixels were compared."""
     found = [np.zeros(0)]
     for i, j in pairs:
         if i in shots and j in shots:

@@ -57,7 +57,7 @@ def sample(source: Source, choice: Choice, config: Config) -> Sample:
         tf = choice.tf_of(name)
         if POSE in chosen:
             roles.setdefault(chosen[POSE].name, []).extend(((HEADS, heads[POSE]), (POSE, poses)))
-            tf = tf if _moves(source, chosen, poses) else []
+            tf = tf if _moves(source, config, chosen, poses) else []
         for topic in tf:
             roles.setdefault(topic.name, []).append((TF, poses))
     _read(source, roles)
@@ -68,15 +68,21 @@ def sample(source: Source, choice: Choice, config: Config) -> Sample:
     return Sample(config, views, info_frames=_info_frames(source), legend=legend, tf=trees)
 
 
-def _moves(source: Source, chosen: Mapping[str, TopicInfo], statics: PoseBuffer) -> bool:
-    """Return whether static transforms do not lead from a camera's poses to its images."""
+def _moves(source: Source, config: Config, chosen: Mapping[str, TopicInfo],
+           statics: PoseBuffer) -> bool:
+    """Return whether static transforms do not lead from map to poses, or from these to images."""
     image = chosen.get('depth', chosen['labels']).name
     firsts = first_messages(source, {chosen[POSE].name, image})
     if len(firsts) < 2:
         return False
-    child = getattr(firsts[chosen[POSE].name], 'child_frame_id', '').lstrip('/')
-    frame = messages.frame_id(firsts[image])
+    try:
+        _, _, parent, child = messages.pose(firsts[chosen[POSE].name])
+    except BadMessage:
+        return True
+    frame = config.camera.frame or messages.frame_id(firsts[image])
     child = statics.child or child
+    if parent not in ('', config.frames.map):
+        return True
     return not child or child != frame and not statics.tree.connected(child, frame, False)
 
 

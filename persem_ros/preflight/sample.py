@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.frames import Camera
+from persem_ros.inputs.assemble import is_cloud
 from persem_ros.inputs.decode import messages
 from persem_ros.inputs.sync.poses import PoseBuffer
 from persem_ros.settings.config import Config
@@ -59,6 +60,8 @@ class View:
         All poses and transforms of the camera's robot.
     shots : callable
         shots(stamps) reads the depth images with these stamps: {stamp: Shot}. Of a node: none.
+    given : str
+        The setting camera.frame.
 
     """
 
@@ -69,10 +72,13 @@ class View:
     times: Mapping[str, Stamps]
     poses: PoseBuffer
     shots: Callable[[Iterable[int]], dict[int, Shot]] = no_shots
+    given: str = ''
 
     def frame(self, role: str) -> str:
         """Return the frame that the first message of a role is in, '' where it is not said."""
         firsts = self.firsts.get(role)
+        if self.given and not (firsts and is_cloud(firsts[0])):
+            return self.given
         return messages.frame_id(firsts[0]) if firsts else ''
 
     @property

@@ -4,7 +4,8 @@ from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
-from persem_ros.preflight.findings import Finding, REFUSE, WARN
+from persem_ros.inputs.sync.poses import NO_MOUNT, UNSAID
+from persem_ros.preflight.findings import Finding, NOTE, REFUSE, WARN
 from persem_ros.preflight.lag import distances
 from persem_ros.preflight.sample import Sample, Stamps, View
 
@@ -12,6 +13,7 @@ NAMES = {'labels': 'label images', 'depth': 'depth images', 'pose': 'poses'}
 SOME = 0.1              # of the frames: fewer without a pose are said after the mapping
 MOST = 500              # frames whose pose is looked up
 OFF = 1.0               # s between two clocks, by that of the recorder
+SAID = {NO_MOUNT, UNSAID}
 STEADY = 0.2            # s that the way to the recorder may vary where clocks are compared
 
 
@@ -24,6 +26,8 @@ def check(sample: Sample) -> Iterator[Finding]:
         if not zeros and not apart:
             yield from _clocks(view)
             yield from _poses(view, sample)
+        for note in () if sample.live else view.poses.notes.values():
+            yield Finding(NOTE, note)
 
 
 def _zeros(view: View) -> Iterator[Finding]:
@@ -86,7 +90,7 @@ def _clocks(view: View) -> Iterator[Finding]:
 def _poses(view: View, sample: Sample) -> Iterator[Finding]:
     """Yield why many of the frames would have no pose."""
     stamps = paired(view, sample)
-    if not len(stamps):
+    if not len(stamps) or 'pose' in view.topics and view.poses.poses is None:
         return
     stamps = stamps[np.linspace(0, len(stamps) - 1, min(len(stamps), MOST)).astype(int)]
     reasons: Counter[str] = Counter()
@@ -96,12 +100,20 @@ def _poses(view: View, sample: Sample) -> Iterator[Finding]:
         if found.T is None:
             reasons[found.reason] += 1
             first.setdefault(found.reason, stamp)
+    if reasons.keys() & SAID or unconnected(view, sample):
+        return      # frames.py and poses.py say it
     if reasons.total() > SOME * len(stamps) or reasons.total() == len(stamps):
         reason = max(reasons, key=lambda name: reasons[name])
         severity = REFUSE if reasons.total() == len(stamps) and not sample.live else WARN
         yield Finding(severity, f'{reasons.total()} of {len(stamps)} frames have no pose '
                                 f'({reason}): '
                                 f'{view.poses.explain(first[reason], view.image_frame)}')
+
+
+def unconnected(view: View, sample: Sample) -> bool:
+    """Return whether transforms are all that places a camera, and do not."""
+    return sample.config.pose.source == 'tf' and not sample.live and \
+        not view.poses.tree.connected(sample.config.frames.map, view.image_frame)
 
 
 def paired(view: View, sample: Sample) -> Stamps:

@@ -132,6 +132,9 @@ class CameraSettings:
 
     rectified: bool = setting(
         False, 'true: images are rectified, P is used and D ignored; false: K and D', live=False)
+    frame: str = setting(
+        '', 'frame of labels and depth, where the one that they name is wrong or none; empty: as '
+            'the messages say', live=False)
 
 
 @dataclass(frozen=True)

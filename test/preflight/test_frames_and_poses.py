@@ -4,6 +4,7 @@ from contextlib import closing
 
 import bags
 import numpy as np
+from persem_ros.cli import main
 from persem_ros.core.transforms import inverse, transform
 from persem_ros.errors import PersemError
 from persem_ros.outputs.recording.writer import RecordingWriter
@@ -244,3 +245,128 @@ def test_one_wild_pose_costs_one_frame(tmp_path, x):
     frames, recording = looked(tmp_path / 'bag')
     assert len(frames) == 11 and sum(recording.dropped.values()) == 1
     assert inverse(frames[6].T_map_camera)[0, 3] == pytest.approx(-0.8)
+
+
+@pytest.mark.parametrize('where', ['tf', 'tf_static'])
+def test_odometry_is_carried_to_the_map_by_the_transform_above_it(tmp_path, where):
+    """The poses are in odom, map -> odom is on /tf."""
+    above = transform([100.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0])
+
+    def extra(out, i):
+        if where == 'tf' or i == 0:
+            out.tf(bags.stamp(i), 'map', 'odom', above, static=where == 'tf_static')
+
+    with RecordingWriter(tmp_path / 'bag') as out:
+        out.tf(bags.stamp(0), 'base_link', 'camera', DOWN, static=True)
+        for i in range(12):
+            out.pose('pose', bags.stamp(i), 'odom', straight(i), 'Odometry', 'base_link')
+            extra(out, i)
+            images(out, i, straight(i) @ DOWN)
+    frames, _ = looked(tmp_path / 'bag')
+    np.testing.assert_allclose(frames[5].T_map_camera, above @ straight(5) @ DOWN, atol=1e-9)
+    frames, _ = looked(tmp_path / 'bag', frames__map='odom')
+    np.testing.assert_allclose(frames[5].T_map_camera, straight(5) @ DOWN, atol=1e-9)
+
+
+def test_a_localisation_that_comes_late_leaves_no_frames_elsewhere(tmp_path, caplog):
+    with RecordingWriter(tmp_path / 'bag') as out:
+        out.tf(bags.stamp(0), 'base_link', 'camera', DOWN, static=True)
+        for i in range(20):
+            out.pose('pose', bags.stamp(i), 'odom', straight(i), 'Odometry', 'base_link')
+            if i >= 8:
+                out.tf(bags.stamp(i), 'map', 'odom', turned(xyz=(50.0, 0.0, 0.0)))
+            images(out, i, straight(i) @ DOWN)
+    frames, _ = looked(tmp_path / 'bag')
+    assert len(frames) == 12 and all(f.T_map_camera[0, 3] > 49 for f in frames)
+    assert '--set frames.map=odom' in caplog.text
+
+
+def test_poses_in_another_frame_are_the_maps_and_info_says_so(tmp_path, capsys):
+    with RecordingWriter(tmp_path / 'bag') as out:
+        for i in range(5):
+            out.pose('pose', bags.stamp(i), 'world', straight(i) @ DOWN)
+            images(out, i, straight(i) @ DOWN)
+    assert main(['info', str(tmp_path / 'bag')]) == 0
+    assert '--set frames.map=world says so' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize('root, shift', [('odom', 0.0), ('vicon', 50.0)])
+def test_two_parents_that_take_turns_are_both_followed(tmp_path, root, shift):
+    def extra(out, i):
+        out.tf(bags.stamp(i), 'odom', 'base_link', straight(i))
+        T = straight(i)
+        T[0, 3] += 50.0
+        out.tf(bags.stamp(i) + 1000, 'vicon', 'base_link', T)
+
+    path = written(tmp_path / 'bag', pose=False, extra=extra)
+    frames, _ = looked(path, pose__source='tf', frames__map=root)
+    assert len(frames) >= 19
+    for frame in frames:
+        own = straight((frame.stamp - bags.START) / bags.STEP) @ DOWN
+        assert frame.T_map_camera[0, 3] - own[0, 3] == pytest.approx(shift, abs=1e-3)
+
+
+def test_images_that_name_no_frame_are_given_one(tmp_path):
+    path = written(tmp_path / 'bag', frames=('',) * 3, child='base_link')
+    with pytest.raises(PersemError, match='--set camera.frame=camera names it'):
+        looked(path)
+    frames, _ = looked(path, camera__frame='camera')
+    np.testing.assert_allclose(frames[3].T_map_camera, straight(3) @ DOWN, atol=1e-9)
+
+
+FLU = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+
+
+@pytest.mark.parametrize('optical', [True, False])
+def test_a_frame_that_is_not_optical_is_noticed(tmp_path, caplog, optical):
+    """Gazebo stamps images with the camera's link, x forward."""
+    link = DOWN @ inverse(FLU)
+    with RecordingWriter(tmp_path / 'bag') as out:
+        out.tf(bags.stamp(0), 'base_link', 'camera_link', link, static=True)
+        if optical:
+            out.tf(bags.stamp(0), 'camera_link', 'camera_optical', FLU, static=True)
+        for i in range(20):
+            out.pose('pose', bags.stamp(i), 'map', swaying(i), 'Odometry', 'base_link')
+            images(out, i, swaying(i) @ DOWN, ('camera_link',) * 3)
+    looked(tmp_path / 'bag')
+    assert 'x forward, y left, z up' in caplog.text
+    if optical:
+        assert '--set camera.frame=camera_optical' in caplog.text
+        settings = {'camera__frame': 'camera_optical'}
+    else:
+        text = caplog.text.split('pose.extrinsic=[')[1].split(']')[0]
+        settings = {'pose__extrinsic': [float(x) for x in text.split(',')]}
+    caplog.clear()
+    frames, _ = looked(tmp_path / 'bag', **settings)
+    np.testing.assert_allclose(frames[3].T_map_camera, swaying(3) @ DOWN, atol=1e-5)
+    assert not caplog.text
+
+
+def test_poses_of_a_body_with_the_axes_of_ros_are_noticed(tmp_path, caplog):
+    """A PoseStamped of AirSim: no child frame, nothing on /tf, x forward."""
+    with RecordingWriter(tmp_path / 'bag') as out:
+        for i in range(20):
+            out.pose('pose', bags.stamp(i), 'map', swaying(i) @ DOWN @ inverse(FLU))
+            images(out, i, swaying(i) @ DOWN)
+    looked(tmp_path / 'bag')
+    assert '--set pose.child_frame=base_link' in caplog.text
+    assert "--set 'pose.extrinsic=[0,0,0,-0.5,0.5,-0.5,0.5]'" in caplog.text
+    frames, _ = looked(tmp_path / 'bag', pose__child_frame='base_link',
+                       pose__extrinsic=[0, 0, 0, -0.5, 0.5, -0.5, 0.5])
+    np.testing.assert_allclose(frames[3].T_map_camera, swaying(3) @ DOWN, atol=1e-9)
+
+
+def test_a_gimbal_whose_poses_are_unsaid_is_tried_both_ways(tmp_path):
+    """Under one reading the views do not turn at all; pairs are those of the other."""
+    def gimbal(i):
+        return turned(14 * np.sin(i), 14 * np.cos(0.7 * i), 0, (0, 0, 0))
+
+    with RecordingWriter(tmp_path / 'bag') as out:
+        out.tf(bags.stamp(0), 'gimbal', 'camera', DOWN, static=True)
+        for i in range(20):
+            out.pose('pose', bags.stamp(i), 'map', straight(i))
+            out.tf(bags.stamp(i), 'base_link', 'gimbal', gimbal(i))
+            images(out, i, straight(i) @ gimbal(i) @ DOWN)
+    with pytest.raises(PersemError, match=r'by [\d.]+ % and [\d.]+ %\): --set pose.child_frame='):
+        looked(tmp_path / 'bag')
+    assert len(looked(tmp_path / 'bag', pose__child_frame='base_link')[0]) == 20

@@ -159,12 +159,13 @@ class Reading(Intake):
         tf = choice.tf_of(camera)
         name = chosen[POSE].name if POSE in chosen else TF + '+'.join(t.name for t in tf)
         if name not in self._buffers:
-            buffer = self._buffers[name] = PoseBuffer(self._recording.config, POSES_KEPT)
+            buffer = self._buffers[name] = PoseBuffer(
+                self._recording.config, POSES_KEPT, self._recording.knows_map(camera))
             for transform in self._recording.statics_of(camera):
                 buffer.add_static(*transform)
             if POSE in chosen:
                 self._roles[name] = [(POSE, buffer)]
-        if POSE not in chosen or self._recording.carried(camera):
+        if POSE not in chosen or self._recording.needs_tf(camera):
             for topic in tf:
                 takers = self._roles.setdefault(topic.name, [])
                 if (TF, self._buffers[name]) not in takers:

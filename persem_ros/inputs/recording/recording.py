@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +20,7 @@ from persem_ros.inputs.recording.excerpt import WHOLE
 from persem_ros.inputs.recording.index import Index
 from persem_ros.inputs.recording.reading import Reading
 from persem_ros.inputs.recording.source import Source
-from persem_ros.inputs.recording.topics import Choice, first_messages
+from persem_ros.inputs.recording.topics import Choice, first_messages, links
 from persem_ros.inputs.sync.pairing import UNUSED
 from persem_ros.inputs.sync.poses import PoseBuffer
 from persem_ros.settings.legend import load_legend
@@ -87,6 +88,7 @@ class Recording:
         self.examples = {}
         self.said = set()
         self._notes = {}
+        self._known: dict[str, bool] = {}
         self._index = self._bounds = None
         try:
             self.choice = Choice(self.source, config)
@@ -175,19 +177,47 @@ class Recording:
         names = {chosen['labels'].name for chosen in self.topics.values()}
         return -(-self.index.between(names, *self.bounds) // self.excerpt.every)
 
-    def carried(self, camera: Any) -> Any:
+    def knows_map(self, camera: str) -> bool:
         """
-        Return whether a camera moves on the body that its pose topic places (a gimbal).
+        Return whether poses in another frame than frames.map are tied to it by transforms.
 
-        Then the way from the body to the camera is on /tf, at each stamp another one.
+        Then frames from before the first of these (a localisation that came late) have no place.
 
         """
+        if camera not in self._known:
+            parent, target = self._parent(camera), self.config.frames.map
+            names = {t.name for t in (*self.choice.tf_of(camera),
+                                      *self.choice.tf_static_of(camera))}
+            self._known[camera] = parent not in ('', target) and any(
+                target in (up, child) for up, child in links(self.source, names))
+        return self._known[camera]
+
+    def _parent(self, camera: str) -> str:
+        """Return the frame that a camera's poses are in, '' where none is said."""
+        chosen = self.topics[camera]
+        firsts = first_messages(self.source, {chosen['pose'].name}) if 'pose' in chosen else {}
+        with suppress(BadMessage):
+            return next((messages.pose(msg)[2] for msg in firsts.values()), '')
+        return ''
+
+    def needs_tf(self, camera: str) -> bool:
+        """
+        Return whether poses are not all that places a camera: something on /tf moves, too.
+
+        That is the way from the body to the camera (a gimbal), or from the map to the frame that
+        the poses are in (odometry that a localisation corrects).
+
+        """
+        return self.knows_map(camera) or self._carried(camera)
+
+    def _carried(self, camera: str) -> bool:
+        """Return whether a camera moves on the body that its pose topic places (a gimbal)."""
         chosen = self.topics[camera]
         names = {chosen[kind].name for kind in ('pose', 'depth') if kind in chosen}
         firsts = first_messages(self.source, names)
         if len(names) < 2 or len(firsts) < 2 or not self.choice.tf_of(camera):
             return False
-        frame = messages.frame_id(firsts[chosen['depth'].name]) \
+        frame = self.config.camera.frame or messages.frame_id(firsts[chosen['depth'].name]) \
             or messages.frame_id(self.infos[chosen['camera_info'].name])
         poses = PoseBuffer(self.config)
         for transform in self.statics_of(camera):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import suppress
 from itertools import islice
 from shlex import quote
@@ -247,8 +248,12 @@ class Choice:
         flags = [f'--set {prefix}.{kind}={t.name}' for kind in kinds
                  for t in self.candidates(kind, taken)[:SHOWN]]
         flags = flags + [extra] if extra else flags
+        if flags:
+            return f' ({" or ".join(flags)})'
         other = 'other ' if any(map(self.candidates, kinds)) else ''
-        return f' ({" or ".join(flags)})' if flags else f' (no {other}topic of that kind is there)'
+        beside = f'; one that was recorded later: {self._source.path.name}+OTHER' \
+            if 'camera_info' in kinds else ''
+        return f' (no {other}topic of that kind is there{beside})'
 
 
 def roles_of(config: Any, topics: Any) -> Any:
@@ -290,6 +295,14 @@ def first_messages(source: Source, names: set[str]) -> dict[str, Any]:
                 continue
             break
     return found
+
+
+def links(source: Source, names: set[str]) -> Iterator[tuple[str, str]]:
+    """Yield (parent, child) of the transforms of some topics, as they are recorded."""
+    for _, kind, _, data in source.messages(names):
+        with suppress(BadMessage):
+            for _, _, parent, child in messages.transforms(source.decode(data, kind))[0]:
+                yield parent, child
 
 
 def _encodes(encoding: str, kind: str, known: dict[str, str]) -> bool:

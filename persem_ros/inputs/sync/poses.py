@@ -70,13 +70,13 @@ class PoseBuffer:
     def clear(self) -> None:
         """Forget every sample (the clock went back); static transforms stay."""
         self._poses = None
-        self.tree.moving.clear()
+        self.tree.clear()
 
     def forget(self, stamp: int) -> None:
         """Drop what only frames before *stamp* (ns) would ask for."""
-        for track in [self._poses, *self.tree.moving.values()]:
-            if track:
-                track.forget(stamp)
+        if self._poses:
+            self._poses.forget(stamp)
+        self.tree.forget(stamp)
 
     def add(self, stamp: int, T: NDArray[np.float64], parent: str, child: str) -> bool:
         """Take a message of the pose topic; return False for a stamp that repeats."""
@@ -186,6 +186,12 @@ class PoseBuffer:
             return (f'the poses do not say what they place, the camera {frame!r} or {body!r}, on '
                     f'which it is mounted: --set pose.child_frame={body} if they place '
                     f'the body, --set pose.child_frame={frame} if the camera')
+        if not frame:
+            leaves = sorted(self.tree.static.keys() - {up for up, _ in self.tree.static.values()})
+            flags = ' or '.join(f'--set camera.frame={name}' for name in leaves)
+            return (f'the poses place the frame {self.child!r}, and the images name no frame '
+                    f'(header.frame_id is empty); {flags or "--set camera.frame=NAME"} names it, '
+                    'or --set pose.extrinsic=[x,y,z,qx,qy,qz,qw] gives the mounting')
         return (f'the poses place the frame {self.child!r}, the images are in {frame!r}, and '
                 f'/tf_static ({self._static_edges()}) does not connect them; give the mounting '
                 'with --set pose.extrinsic=[x,y,z,qx,qy,qz,qw], or --set '
@@ -208,11 +214,13 @@ class PoseBuffer:
                 return self._explain_topic(stamp)
             target = self._poses.parent
             for track, child in self.tree.links(self.child, frame):
-                if self.tree.at(child, stamp).T is None:
+                if self.tree.at(child, stamp, track.parent).T is None:
                     return self._explain_link(stamp, track, child)
         for track, child in self.tree.links(self._map, target):
-            if self.tree.at(child, stamp).T is None:
-                return self._explain_link(stamp, track, child)
+            if self.tree.at(child, stamp, track.parent).T is None:
+                other = '' if self._settings.source == 'tf' else \
+                    f'; --set frames.map={target} maps in the frame of the poses'
+                return self._explain_link(stamp, track, child) + other
         return (f'at {_seconds(stamp)} /tf gives no chain from {self._map!r} to {target!r}: '
                 f'{self.tree.edges()}')
 

@@ -9,10 +9,16 @@ from persem_ros.core.transforms import inverse
 from persem_ros.inputs.sync.track import Lookup, NO_POSE, Track
 from persem_ros.settings.config import Pose
 
+Edge = tuple[str, str]
+DEEPEST = 30        # links of a chain that is looked for along former parents
+
 
 class Tree:
     """
-    Static and moving transforms, child by child; where a frame has several parents the last holds.
+    Static and moving transforms, child by child.
+
+    Where a frame has several parents the last one holds, unless only a former one leads to where
+    a chain is to go.
 
     Parameters
     ----------
@@ -34,6 +40,7 @@ class Tree:
         self._keep = keep_ns
         self.static: dict[str, tuple[str, NDArray[np.float64]]] = {}
         self.moving: dict[str, Track] = {}
+        self._former: dict[tuple[str, str], Track] = {}     # by parent and child
         self.parents: dict[str, set[str]] = {}
         self.configure(Pose())
 
@@ -48,8 +55,19 @@ class Tree:
         self.parents.setdefault(child, set()).add(parent)
         track = self.moving.get(child)
         if track is None or track.parent != parent:
-            track = self.moving[child] = Track(parent, self._keep)
+            track = self._former.get((parent, child)) or Track(parent, self._keep)
+            self._former[parent, child] = self.moving[child] = track
         track.add(stamp, T)
+
+    def forget(self, stamp: int) -> None:
+        """Drop what only frames before *stamp* (ns) would ask for."""
+        for track in self._former.values():
+            track.forget(stamp)
+
+    def clear(self) -> None:
+        """Forget all moving transforms."""
+        self.moving.clear()
+        self._former.clear()
 
     def add_static(self, T: NDArray[np.float64], parent: str, child: str) -> None:
         """Take a transform of /tf_static."""
@@ -94,12 +112,12 @@ class Tree:
     def links(self, target: str, source: str) -> list[tuple[Track, str]]:
         """Return (track, child) of the moving links between two frames."""
         ways = self._ways(target, source, True) or ([], [])
-        return [(self.moving[frame], frame) for way in ways for frame in way
-                if frame not in self.static]
+        return [(self._track(*edge), edge[0]) for way in ways for edge in way
+                if not self._is_static(*edge)]
 
-    def at(self, child: str, stamp: int) -> Lookup:
+    def at(self, child: str, stamp: int, parent: str = '') -> Lookup:
         """Return the Lookup of one moving link, held where pose.hold says so."""
-        track = self.moving[child]
+        track = self._track(child, parent)
         if child in self._hold:
             return track.held(stamp)
         return track.at(stamp, self._gap, self._speed)
@@ -125,25 +143,66 @@ class Tree:
         return sorted(found)
 
     def _ways(self, target: str, source: str,
-              moving: bool) -> tuple[list[str], list[str]] | None:
-        """Return the frames from *source* and from *target* up to where they meet."""
-        up, down = self.path(source, moving), self.path(target, moving)
-        meet = next((frame for frame in up if frame in down), None)
-        return None if meet is None else (up[:up.index(meet)], down[:down.index(meet)])
+              moving: bool) -> tuple[list[Edge], list[Edge]] | None:
+        """Return the links (child, parent) from *source* and from *target* to where they meet."""
+        for up in self._paths(source, moving):
+            for down in self._paths(target, moving):
+                meet = next((frame for frame in up if frame in down), None)
+                if meet is not None:
+                    return _edges(up, meet), _edges(down, meet)
+        return None
 
-    def _product(self, frames: Sequence[str], stamp: int | None) -> Lookup:
-        """Return the Lookup of the transform from the first of *frames* to above the last."""
+    def _paths(self, frame: str, moving: bool) -> Iterator[list[str]]:
+        """Yield the path to the root, then those along former parents."""
+        yield self.path(frame, moving)
+        if moving and any(len(self.parents.get(name, ())) > 1 for name in self._above(frame)):
+            yield from self._former_paths([frame])
+
+    def _former_paths(self, path: list[str]) -> Iterator[list[str]]:
+        """Yield all paths that go on from *path*."""
+        ups = self.parents.get(path[-1], set()) - set(path)
+        if not ups or len(path) > DEEPEST:
+            yield path
+        for up in sorted(ups):
+            if (up, path[-1]) in self._former or self._is_static(path[-1], up):
+                yield from self._former_paths([*path, up])
+
+    def _above(self, frame: str) -> set[str]:
+        """Return a frame and all that it was ever below of."""
+        found, waiting = set(), [frame]
+        while waiting:
+            name = waiting.pop()
+            if name not in found:
+                found.add(name)
+                waiting += self.parents.get(name, ())
+        return found
+
+    def _is_static(self, child: str, parent: str) -> bool:
+        return child in self.static and self.static[child][0] == parent
+
+    def _track(self, child: str, parent: str) -> Track:
+        """Return the samples of a moving link."""
+        return self._former.get((parent, child)) or self.moving[child]
+
+    def _product(self, edges: Sequence[Edge], stamp: int | None) -> Lookup:
+        """Return the Lookup of the transform from the first frame of *edges* to above the last."""
         T = np.eye(4)
-        for frame in frames:
-            if frame in self.static:
-                T = self.static[frame][1] @ T
+        for child, parent in edges:
+            if self._is_static(child, parent):
+                T = self.static[child][1] @ T
                 continue
             assert stamp is not None
-            found = self.at(frame, stamp)
+            found = self.at(child, stamp, parent)
             if found.T is None:
                 return found
             T = found.T @ T
         return Lookup(T)
+
+
+def _edges(path: list[str], meet: str) -> list[Edge]:
+    """Return the links (child, parent) of a path up to the frame *meet*."""
+    part = path[:path.index(meet) + 1]
+    return list(zip(part, part[1:], strict=False))
 
 
 def gaps(track: Track) -> Iterator[float]:

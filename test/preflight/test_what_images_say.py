@@ -1,0 +1,129 @@
+"""What the first images of a recording say: depth that is none, ids that are no classes."""
+
+from contextlib import closing
+
+import bags
+import numpy as np
+from persem_ros.errors import PersemError
+from persem_ros.outputs.recording.writer import RecordingWriter
+from persem_ros.preflight.look import opened
+from persem_ros.settings.config import Config, updated
+import pytest
+
+
+def written(path, labels=None, depth=None, encodings=('mono16', '32FC1'), info=(16, 12)):
+    """Write five frames; labels(i) and depth(i) replace the images."""
+    with RecordingWriter(path) as out:
+        for i in range(5):
+            at = bags.stamp(i)
+            out.pose('pose', at, 'map', bags.pose(i))
+            out.camera_info('depth/camera_info', at, 'camera', *info, bags.K)
+            out.image('depth/image', at, 'camera', (depth or bags.depth)(i), encodings[1])
+            out.image('semantic/image', at, 'camera', (labels or bags.labels)(i), encodings[0])
+    return path
+
+
+def looked(path, **values):
+    """Open a recording and read a frame; dots in names are double underscores."""
+    config = updated(Config(), {k.replace('__', '.'): v for k, v in values.items()})
+    with closing(opened(path, config)) as recording:
+        return next(recording.frames())
+
+
+def half(value, dtype):
+    """Return a function that gives the depth image of a frame whose left half is *value*."""
+    def depth(i):
+        image = (bags.depth(i) * (1000 if dtype == np.uint16 else 1)).astype(dtype)
+        image[:, :8] = value
+        return image
+    return depth
+
+
+@pytest.mark.parametrize('value, dtype, encoding, flag', [
+    (65535, np.uint16, '16UC1', 'memory.max_depth=64.9'),
+    (100.0, np.float32, '32FC1', 'memory.max_depth=99')])
+def test_a_number_for_nothing_is_noticed(tmp_path, caplog, value, dtype, encoding, flag):
+    path = written(tmp_path / 'bag', depth=half(value, dtype), encodings=('mono16', encoding))
+    looked(path)
+    assert f'--set {flag} leaves them out' in caplog.text and '50.0 %' in caplog.text
+    caplog.clear()
+    looked(path, memory__max_depth=float(flag.partition('=')[2]))
+    assert 'leaves them out' not in caplog.text
+
+
+def test_a_wall_behind_is_no_far_plane(tmp_path, caplog):
+    looked(written(tmp_path / 'bag', depth=half(2.5, np.float32)))
+    assert not caplog.text
+
+
+def test_a_camera_info_of_another_shape_is_refused_at_once(tmp_path):
+    with pytest.raises(PersemError, match='16 x 12, its camera info 32 x 18.*topics.camera_info'):
+        opened(written(tmp_path / 'bag', info=(32, 18)), Config())
+
+
+def test_a_recording_without_camera_infos_says_what_to_give(tmp_path):
+    with RecordingWriter(tmp_path / 'bag') as out:
+        for i in range(3):
+            bags.write_images(out, i)
+    with RecordingWriter(tmp_path / 'bare') as out:
+        for i in range(3):
+            out.image('depth/image', bags.stamp(i), 'camera', bags.depth(i), '32FC1')
+            out.image('semantic/image', bags.stamp(i), 'camera', bags.labels(i), 'mono16')
+            out.pose('pose', bags.stamp(i), 'map', bags.pose(i))
+    with pytest.raises(PersemError, match=r'no camera infos .*: bare\+OTHER'):
+        opened(tmp_path / 'bare', Config())
+    with RecordingWriter(tmp_path / 'other') as out:        # a day later, with its stamp
+        at = bags.stamp(10**6)
+        out.camera_info('depth/camera_info', at, 'camera', bags.WIDTH, bags.HEIGHT, bags.K)
+    with closing(opened(f'{tmp_path / "bare"}+{tmp_path / "other"}', Config())) as recording:
+        assert len(list(recording.frames())) == 3
+
+
+@pytest.mark.parametrize('factor, refused', [(1000, False), (100000, True)])
+def test_ids_of_instances_are_recognised(tmp_path, caplog, factor, refused):
+    def labels(i):
+        return (bags.labels(i).astype(np.int32) % 2 + 1) * factor + np.arange(16, dtype=np.int32)
+
+    path = written(tmp_path / 'bag', labels, encodings=('32SC1', '32FC1'))
+    if refused:
+        with pytest.raises(PersemError, match='--set labels.divisor=1000'):
+            looked(path)
+    else:
+        looked(path)
+        assert '--set labels.divisor=1000' in caplog.text
+    caplog.clear()
+    looked(path, labels__divisor=factor)
+    assert not caplog.text
+
+
+def test_a_mask_of_0_and_255_is_recognised(tmp_path, caplog):
+    path = written(tmp_path / 'bag', lambda i: np.where(bags.labels(i) > 2, 255, 0).astype('u1'),
+                   encodings=('mono8', '32FC1'))
+    looked(path)
+    assert "--set 'memory.ignore_labels=[65535]' counts it" in caplog.text
+    caplog.clear()
+    looked(path, memory__ignore_labels=[65535])
+    assert not caplog.text
+
+
+def test_a_grey_image_is_no_label_image(tmp_path, caplog):
+    looked(written(tmp_path / 'bag', lambda i: np.arange(192, dtype='u1').reshape(12, 16),
+                   encodings=('mono8', '32FC1')))
+    assert 'is it a grey image?' in caplog.text
+
+
+def test_labels_always_beside_their_depth_are_said(tmp_path, caplog):
+    with RecordingWriter(tmp_path / 'bag') as out:
+        for i in range(10):
+            out.pose('pose', bags.stamp(i), 'map', bags.pose(i))
+            out.camera_info('depth/camera_info', bags.stamp(i), 'camera', 16, 12, bags.K)
+            out.image('depth/image', bags.stamp(i), 'camera', bags.depth(i), '32FC1')
+            out.image('semantic/image', bags.stamp(i) + 12_000_000, 'camera', bags.labels(i),
+                      'mono16')
+        out.pose('pose', bags.stamp(10), 'map', bags.pose(10))
+    looked(tmp_path / 'bag')
+    assert 'all label images are 12 ms behind' in caplog.text
+    assert '--set sync.offset_labels=-0.012' in caplog.text
+    caplog.clear()
+    looked(tmp_path / 'bag', sync__offset_labels=-0.012)
+    assert not caplog.text
