@@ -332,21 +332,7 @@ def chosen_legend(config: Config, recording: Recording) -> Legend:
     """Return the legend of labels.legend, else the recording's, else one of made-up colours."""
     text = recording.legend_text        # that of labels.legend where it is set
     legend = Legend.from_yaml(text, "the recording's legend") if text else Legend()
-    if not config.labels.legend:
-        _check_legends(recording, legend)
     return legend.ignoring(config.memory.ignore_labels)
-
-
-def _check_legends(recording: Sessions, legend: Legend) -> None:
-    """Refuse sessions in which one id has two names."""
-    for other in recording.recordings:
-        found = Legend.from_yaml(other.legend_text, "the recording's legend") \
-            if other.legend_text else Legend()
-        for i in sorted(set(found.ids) & set(legend.ids)):
-            if found.name(i) != legend.name(i):
-                raise PersemError(f'{other.path}: its legend calls id {i} {found.name(i)!r}, that '
-                                  f'of the recording before {legend.name(i)!r}; --set '
-                                  'labels.legend=FILE gives one legend for all')
 
 
 def start_map(config: Config) -> Any:

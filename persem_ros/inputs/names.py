@@ -44,7 +44,10 @@ class Names:
     config : persem_ros.settings.config.Config
         The ids of memory.ignore_labels and memory.dynamic_labels are given to no new class.
     legend : Legend, optional
-        That of labels.legend (or of the map to go on with): its ids are the map's.
+        That of labels.legend, or of the map to go on with: its ids are the map's.
+    strict : bool
+        Whether a first table that only calls ids otherwise than *legend* is renamed, too: names
+        of a map to go on with say what its ids are, labels.legend is how the user calls them.
 
     Attributes
     ----------
@@ -53,10 +56,11 @@ class Names:
 
     """
 
-    def __init__(self, config: Config, legend: Legend | None = None) -> None:
+    def __init__(self, config: Config, legend: Legend | None = None,
+                 strict: bool = False) -> None:
         """Start without tables."""
         self.legend = legend or Legend()
-        self._given = bool(legend and legend.classes)
+        self._given, self._strict = bool(legend and legend.classes), strict
         self._reserved = {*config.memory.ignore_labels, *config.memory.dynamic_labels, UNKNOWN}
         self._ignored = {*config.memory.ignore_labels, UNKNOWN}
         self._stamped: list[_Known] = []        # by stamp
@@ -119,11 +123,18 @@ class Names:
             known = self._arrived[min(place, len(self._arrived) - 1)]
         else:
             return self.legend, None
-        if known.ids is None and self._given:
+        if known.ids is None and self._given and not self._strict:
             return self.legend, None
         if self._last is None or self._last[0] is not known:
             self._last = known, known.new()
         return known.table.legend, self._last[1]
+
+    def moved(self) -> dict[str, tuple[int, int]]:
+        """Return {name: (id where it came from, the map's)} of classes whose ids differ."""
+        return {item.name: (item.id, known.ids[item.id])
+                for known in (*self._stamped, *self._arrived) if known.ids is not None
+                for item in known.table.legend.classes
+                if known.ids.get(item.id, item.id) != item.id}
 
     def _renamed(self, theirs: Legend) -> tuple[dict[int, int] | None, frozenset[int]]:
         """Return the map's ids of a table's and those of other classes; learn new names."""
@@ -133,7 +144,7 @@ class Names:
             return None, frozenset()
         first = not self._stamped and not self._arrived
         fits = all(ours.get(item.name, item.id) == item.id for item in theirs.classes)
-        if first and self._given and fits:      # the same ids, called otherwise at most
+        if first and self._given and fits and not self._strict:     # only called otherwise
             return None, frozenset()
         used, learned = set(ours.values()), []
         ids = {i: i for i in self._ignored if 0 <= i <= UNKNOWN}
@@ -163,9 +174,10 @@ def renamed(labels: NDArray[np.int32], new: NDArray[np.int32] | None) -> NDArray
     return np.where(inside, new[np.where(inside, labels, 0)], IGNORED)
 
 
-def filled(config: Config, legend: Legend | None, tables: Iterable[Table]) -> Names:
+def filled(config: Config, legend: Legend | None, tables: Iterable[Table],
+           strict: bool = False) -> Names:
     """Return Names with tables that are all known: those with stamps first, as in a replay."""
-    names, tables = Names(config, legend), list(tables)
+    names, tables = Names(config, legend, strict), list(tables)
     for table in sorted(tables, key=lambda one: one.stamp is None):
         names.add(table)
     return names

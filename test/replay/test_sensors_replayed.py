@@ -78,15 +78,20 @@ def test_a_confident_minority_wins_the_vote_of_a_voxel(tmp_path, scale):
                         )[1].values()) == {7}
 
 
-def test_depth_that_is_not_to_be_trusted_is_left_out(tmp_path):
+@pytest.mark.parametrize('low, high, dtype, encoding, least, classes', [
+    (10, 90, np.float32, '32FC1', 50, {2}), (10, 90, np.float32, '32FC1', 0, {1, 2}),
+    (10, 90, np.float32, '32FC1', -50, {1}),            # ZED: 1 to 100, large is bad
+    (3, 12, np.uint8, 'mono8', 8, {2}),                 # RealSense L500: 0 to 15, large is good
+    (90, 250, np.uint8, 'mono8', -200, {1})])           # OAK: 0 to 255, large is bad
+def test_depth_that_is_not_to_be_trusted_is_left_out(tmp_path, low, high, dtype, encoding, least,
+                                                     classes):
     def doubt(out, i):
-        trust = np.where(np.arange(16) > 7, 90.0, 10.0).astype(np.float32)
-        out.image('trust', bags.stamp(i), 'camera', np.tile(trust, (12, 1)), '32FC1')
+        trust = np.where(np.arange(16) > 7, high, low).astype(dtype)
+        out.image('trust', bags.stamp(i), 'camera', np.tile(trust, (12, 1)), encoding)
 
     path, topic = walls(tmp_path / 'bag', doubt), 'topics.depth_confidence=trust'
-    for n, (value, classes) in enumerate([(50, {2}), (-50, {1}), (0, {1, 2})]):
-        assert set(replayed(path, tmp_path / str(n), topic, f'depth.min_confidence={value}'
-                            )[1].values()) == classes
+    assert set(replayed(path, tmp_path / 'out', topic, f'depth.min_confidence={least}'
+                        )[1].values()) == classes
 
 
 def test_a_labelled_cloud_is_mapped_and_its_refined_labels_go_out(tmp_path, capsys):

@@ -148,7 +148,8 @@ class Reading(Intake):
         tables = self._recording.tables
         arriving = [table for table in tables if table.stamp is None]
         self.names = names.filled(config, given, [
-            *(table for table in tables if table.stamp is not None), *arriving[:1]])
+            *(table for table in tables if table.stamp is not None), *arriving[:1]],
+            self._recording.strict)
         if len(arriving) > 1:
             for topic in self._recording.choice.legends:
                 self._roles.setdefault(topic.name, []).append((LEGEND, None))

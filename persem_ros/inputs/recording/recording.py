@@ -23,13 +23,15 @@ from persem_ros.inputs.recording.source import Source
 from persem_ros.inputs.recording.topics import Choice, first_messages, links
 from persem_ros.inputs.sync.pairing import UNUSED
 from persem_ros.inputs.sync.poses import PoseBuffer
-from persem_ros.settings.legend import load_legend
+from persem_ros.settings.legend import Legend, load_legend
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from persem_ros.frames import Frame
     from persem_ros.settings.config import Config
+
+SHOWN = 6       # classes in a note
 
 
 class Recording:
@@ -66,7 +68,7 @@ class Recording:
     names : persem_ros.inputs.names.Names
         The classes of the map.
     given_legend : persem_ros.settings.legend.Legend or None
-        That of labels.legend.
+        That of labels.legend, or of the map that goes on (then *strict*).
 
     Raises
     ------
@@ -97,6 +99,7 @@ class Recording:
             self._latched = latched.read(self.source, self.choice)
             self.infos = self._read_infos()
             self.given_legend = load_legend(config.labels.legend) if config.labels.legend else None
+            self.strict = False
             self.names = names.filled(config, self.given_legend, self._latched.tables)
         except BaseException:
             self.close()
@@ -138,6 +141,16 @@ class Recording:
     def statics(self) -> list[tuple[NDArray[np.float64], str, str]]:
         """Return the static transforms: a list of (T_parent_child, parent, child)."""
         return self._latched.statics
+
+    def go_on(self, legend: Legend) -> None:
+        """Give classes the ids that *legend* has for their names: that of earlier sessions."""
+        self.given_legend, self.strict = legend, True
+        self.names = names.filled(self.config, legend, self._latched.tables, True)
+        moved = [f'{name!r} {old} is {new}' for name, (old, new) in self.names.moved().items()]
+        if moved:
+            more = ', …' if len(moved) > SHOWN else ''
+            self.note('ids', f'ids follow their names, as the recording before has them: '
+                             f'{", ".join(moved[:SHOWN])}{more}')
 
     def statics_of(self, camera: Any) -> Any:
         """Return the static transforms of the robot that carries a camera."""

@@ -14,6 +14,8 @@ class Sessions:
     """
     Recordings one after the other; each is a session.
 
+    Classes are told by their names: those of later recordings get the ids of the first.
+
     Parameters
     ----------
     recordings : sequence of Recording
@@ -26,6 +28,11 @@ class Sessions:
         self._stack = ExitStack()
         for recording in self.recordings:
             self._stack.enter_context(recording)
+        legend = self.recordings[0].legend
+        for recording in self.recordings[1:]:
+            if legend.classes and not recording.config.labels.legend:
+                recording.go_on(legend)
+            legend = recording.legend
 
     def __enter__(self) -> 'Sessions':
         """Return this."""
@@ -87,8 +94,8 @@ class Sessions:
 
     @property
     def legend_text(self) -> str:
-        """Return the legend (YAML) of the first recording that has one, '' without any."""
-        return next((r.legend_text for r in self.recordings if r.legend_text), '')
+        """Return the legend (YAML) of all recordings, '' without any."""
+        return self.recordings[-1].legend_text      # which has learnt those before
 
     def has(self, kind: str) -> bool:
         """Return whether any recording has the optional topic 'truth' or 'color'."""
