@@ -5,4 +5,27 @@ label images + depth + poses -> observe -> memory -> refine -> render -> stable 
 
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from persem_ros.notebook import Map
+
 __version__ = '0.1.0'
+
+
+def open_map(path: Path | str) -> Map:
+    """
+    Open a map file (.persem) to look into it: columns, queries, histories, explanations.
+
+    Raises
+    ------
+    PersemError
+        For a file that is missing, foreign, of another schema, or damaged.
+
+    """
+    from persem_ros.notebook import Map
+    return Map(path)
