@@ -33,6 +33,7 @@ VOXELS = 1 << 30        # from map.origin, within which a camera can be: voxels 
 INFO, POSE, TF, LEGEND = 'camera_info', 'pose', 'tf', 'legend'
 LABELS_INFO = 'labels_info'
 NO_INFO = 'no camera info'
+NO_TIE_YET = 'no transform between depth and labels'
 NO_TIE = 'no transform between cloud and labels'
 SAME = 1e-6         # between two matrices of one place, metres
 QUEUE_BYTES = 256 << 20
@@ -187,6 +188,10 @@ class Intake:
         """Whether a match that leaves, of camera *number*, is to become a frame."""
         return True
 
+    def untied(self, frame_id: Any, other: Any) -> bool:
+        """Whether frames that nothing ties to each other are to be taken as one camera's."""
+        return True
+
     def left(self, station: Any, stamp: Any) -> None:
         """Take note that the match of *stamp* has left."""
 
@@ -303,6 +308,8 @@ class Intake:
                                      f'{frame_id!r}, and /tf_static does not connect them')
             return Lookup(None, tie.final, NO_TIE)
         if tie.T is None:
+            if not self.untied(frame_id, other):
+                return Lookup(None, False, NO_TIE_YET)
             return found        # nothing says that they are two cameras
         then = self._found(poses, match.items[DEPTH].stamp, frame_id)
         if then.T is None:

@@ -18,6 +18,7 @@ from persem_ros.inputs.sync.track import Lookup
 
 STALE = 'from before time went back'
 BEHIND = 'mapping is behind'
+TIES = 2_000_000_000    # ns, twice as long as labels wait for what ties them to the depth
 TIMED = (LABELS, DEPTH, POSE)       # whose stamps tell what time it is
 
 
@@ -51,6 +52,9 @@ class LiveIntake(Intake):
     ----------
     jumps : int
         How often time went back.
+    behind : bool
+        Whether a frame was dropped because frames come faster than they are mapped: what waits
+        behind it is old, too (see `skip`).
 
     """
 
@@ -61,6 +65,8 @@ class LiveIntake(Intake):
         self.jumps = 0
         self._clock, self._steady = clock, steady
         self._backlog = Backlog()
+        self.behind = False     # whether a frame was dropped because it had waited for long
+        self._untied = {}       # (frame, frame) -> when they were asked for first
         self._began = 0         # when frames began to be taken, by steady()
         self._partners = {}     # station -> Partners
         self._clocks = {}       # assembler -> Clocks
@@ -137,8 +143,21 @@ class LiveIntake(Intake):
         age = now - max(match.ready, self._began)
         if self._backlog.late(age, now, round(self.config.sync.queue * 1e9)):
             self.dropped[BEHIND] += 1
+            self.behind = True
             return False
         return True
+
+    def skip(self, stamp: int, count: int) -> None:
+        """
+        Go on with label images from *stamp* on, where mapping is behind.
+
+        *count* label images before it were left out before they came here.
+
+        """
+        self.behind = False
+        self.dropped[BEHIND] += count
+        for station in self.stations:
+            station.sync.drop_before(stamp, BEHIND)
 
     def few_depths(self) -> Any:
         """Return (depth images, label images) of a camera that gets too few depth images."""
@@ -200,6 +219,11 @@ class LiveIntake(Intake):
             self.examples[ANOTHER_CLOCK] = clocks.sentence()
             return Lookup(None, True, ANOTHER_CLOCK)
         return super()._lookup(poses, assembler, match)
+
+    def untied(self, frame_id: Any, other: Any) -> Any:
+        """Give transforms that tie two frames some time to come, once."""
+        since = self._untied.setdefault((frame_id, other), self._steady())
+        return self._steady() - since >= min(self._wait, TIES) // 2
 
     def _explain_drop(self, station: Any, match: Any, reason: Any) -> None:
         """Write to `examples` why a label image was dropped, where that takes a look around."""

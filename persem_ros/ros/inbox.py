@@ -5,6 +5,8 @@ import threading
 import time
 from typing import NamedTuple
 
+from persem_ros.inputs.sync.pairing import LABELS
+
 MAX_SMALL = 20000       # poses and camera infos; images are bounded in seconds and bytes
 
 
@@ -15,6 +17,12 @@ class Item(NamedTuple):
     input: object       # noqa: A003 - persem_ros.ros.inputs.Input
     kind: str           # 'sensor_msgs/msg/Image'
     data: bytes
+
+
+def _stamp(item, offset):
+    """Return the stamp of an image by the clock of the depth images, None without."""
+    stamp = item.input.stamp_of(item.data)
+    return stamp + offset if stamp is not None and item.input.role == LABELS else stamp
 
 
 class Inbox:
@@ -87,6 +95,44 @@ class Inbox:
             if item.input.is_image:
                 self.bytes -= len(item.data)
             return item
+
+    def skip(self, offset, tolerance):
+        """
+        Leave out all images that are older than the newest label image that waits.
+
+        Parameters
+        ----------
+        offset : int
+            What is added to the stamps of label images, ns.
+        tolerance : int
+            By how much the stamps of a pair may differ, ns.
+
+        Returns
+        -------
+        int, int
+            The stamp of that label image, and how many label images were left out.
+        None
+            Where no label image waits.
+
+        """
+        with self._changed:
+            stamps = [_stamp(item, offset) for item in self._images]
+            newest = {}     # of each topic with label images
+            for item, stamp in zip(self._images, stamps):
+                if item.input.role == LABELS and stamp is not None:
+                    newest[item.input] = max(stamp, newest.get(item.input, stamp))
+            if not newest:
+                return None
+            cut, kept, count = min(newest.values()), deque(), 0
+            for item, stamp in zip(self._images, stamps):
+                labels = item.input.role == LABELS
+                if stamp is None or stamp >= cut - (0 if labels else tolerance):
+                    kept.append(item)
+                    continue
+                self.bytes -= len(item.data)
+                count += labels
+            self._images = kept
+            return cut, count
 
     def wake(self):
         """Let a waiting get() return now."""

@@ -245,6 +245,8 @@ class Worker(threading.Thread):
             self._take(item)
         for frame in self.intake.leaving(now):
             self._frame(frame, now)
+        if self.intake.behind:
+            self._skip()
         self._report(item)
         while not self._calls.empty():
             self._answer(*self._calls.get())
@@ -257,6 +259,11 @@ class Worker(threading.Thread):
         if self.refiner.begin(self.memory, self.config.refine, self._unrefined):
             self._unrefined = False
         self._publish_map()
+
+    def _skip(self):
+        """Go on with the newest label image that waits: those before it are old."""
+        found = self.inbox.skip(self.intake.offset, round(self.config.sync.tolerance * 1e9))
+        self.intake.skip(*found or (0, 0))
 
     def _take(self, item):
         for taker in item.input.takers:

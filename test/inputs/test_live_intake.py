@@ -231,6 +231,33 @@ def test_what_waited_while_kernels_were_loaded_is_no_backlog():
     assert len(live.frames) == before + 1 and not live.dropped
 
 
+def test_what_is_old_is_left_out_where_mapping_is_behind():
+    live = Live()
+    for i in (1, 2, 3, 4):          # nothing has a pose yet
+        live.depth(i / 10)
+        live.labels(i / 10)
+    live.intake.skip(bags.START + round(0.4 * S), 7)
+    assert live.dropped == {BEHIND: 7 + 3}
+    live.pose(0.3)
+    live.pose(0.5)
+    assert [frame.stamp for frame in live.frames] == [bags.START + round(0.4 * S)]
+
+
+def test_in_the_worst_case_a_late_frame_is_taken_now_and_then():
+    backlog = Backlog()
+    taken = [i for i in range(300) if not backlog.late(3 * S // 2, i * S // 10, 2 * S)]
+    assert 20 <= len(taken) and max(np.diff(taken)) <= 11
+
+
+def test_labels_wait_for_what_ties_them_to_the_depth_but_not_for_ever():
+    live = Live()
+    assert not live.intake.untied('depth', 'labels')
+    live.now = 0.4
+    assert not live.intake.untied('depth', 'labels')
+    live.now = 0.6
+    assert live.intake.untied('depth', 'labels')
+
+
 def test_a_longer_queue_has_more_patience_with_a_burst():
     ms = S // 1000
     ages = [(50 * i, i) for i in range(1, 60)]      # 60 frames at once, 50 ms for each

@@ -9,13 +9,16 @@ class Backlog:
 
     As CoDel does in routers (Nichols & Jacobson, 2012): a wait that passes is nobody's harm, one
     that stays is. Once frames have waited for more than `TARGET` for half as long as anything may
-    wait (a save, a large refinement and a burst pass sooner), frames are dropped, the oldest
-    first, until they wait for less.
+    wait (a save, a large refinement and a burst pass sooner), whatever has waited for longer is
+    dropped, until frames have been young for that long again. One frame in that time is taken
+    nevertheless: a map that is late is better than none.
 
     """
 
     def __init__(self) -> None:
-        self._since: int | None = None
+        self._behind = False
+        self._turned: int | None = None     # since when frames are as they were not before
+        self._taken = 0                     # when the last frame was taken
 
     def late(self, age: int, now: int, limit: int) -> bool:
         """
@@ -31,9 +34,14 @@ class Backlog:
             Nanoseconds that nothing may wait for, the setting sync.queue.
 
         """
-        if age < TARGET:
-            self._since = None
-            return False
-        if self._since is None:
-            self._since = now
-        return age > limit or now - self._since > limit // 2
+        old = age >= TARGET
+        if old == self._behind:
+            self._turned = None
+        elif self._turned is None:
+            self._turned = now
+        elif now - self._turned > limit // 2:
+            self._behind, self._turned = old, None
+        if age > limit or old and self._behind and now - self._taken <= limit // 2:
+            return True
+        self._taken = now
+        return False

@@ -187,6 +187,12 @@ class Synchronizer:
         self._prune(now)
         return leaving
 
+    def drop_before(self, stamp: int, reason: str) -> None:
+        """Drop the label images before *stamp*; what still comes of them has come too late."""
+        while self._matches and self._matches[0].stamp < stamp:
+            self._drop_head(reason)
+        self._left = stamp - 1 if self._left is None else max(self._left, stamp - 1)
+
     def flush(self) -> list[Match]:
         """Return what can still leave when nothing more will come; drop the rest."""
         return self.advance(float('inf'))
