@@ -231,6 +231,14 @@ def test_what_waited_while_kernels_were_loaded_is_no_backlog():
     assert len(live.frames) == before + 1 and not live.dropped
 
 
+def test_images_and_poses_that_both_come_late_are_late_and_of_one_clock():
+    clocks = Clocks(1.5)
+    for i in range(40):         # a busy machine: poses take 3 s, images 8 s
+        now = i * S // 8
+        clocks.image(now - 8 * S, now - 3 * S, now, now)
+        assert clocks.ahead == 0 and clocks.late == 5 * S
+
+
 def test_what_is_old_is_left_out_where_mapping_is_behind():
     live = Live()
     for i in (1, 2, 3, 4):          # nothing has a pose yet

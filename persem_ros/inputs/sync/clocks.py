@@ -2,6 +2,7 @@
 
 ANOTHER_CLOCK = 'poses are of another clock than the images'
 LASTING = 2_000_000_000     # ns for which stamps that no clock explains must be apart
+SLOW = 10_000_000_000       # ns that poses may take to a node that is busy with images
 ENOUGH = 5                  # images in that time
 
 
@@ -67,7 +68,7 @@ class Clocks:
         self.late = 0
         if abs(stamp - clock) <= self._limit:
             self.ahead = apart
-        elif newest is not None and abs(newest - clock) <= self._limit:
+        elif newest is not None and -self._limit <= clock - newest <= max(self._limit, SLOW):
             self.ahead, self.late = 0, apart
         else:
             self._since = now if self._since is None else self._since
