@@ -8,10 +8,12 @@
 # make bench-live  the node under load, through real DDS
 # make fuzz         files that mean harm, for MINUTES=30; prints its seed (SEED=n repeats it)
 # make clean         away with everything that these made
-# PYTHON=python3.12, VENV=folder and ARGS="-k memory" change interpreter, folder and arguments.
+# PYTHON=python3.12, VENV=folder, ARGS="-k memory" and WORKERS=1 change interpreter, folder,
+# arguments and the number of processes that test.
 
 PYTHON ?= python3
 VENV ?= .venv
+WORKERS ?= $(shell nproc 2>/dev/null || echo 2)
 RUN := $(VENV)/bin/python
 PEP257 := --ignore=D100,D101,D102,D103,D104,D105,D106,D107,D203,D212,D404 --match='.*\.py'
 
@@ -21,7 +23,7 @@ PEP257 := --ignore=D100,D101,D102,D103,D104,D105,D106,D107,D203,D212,D404 --matc
 unexport PYTHONPATH
 
 test: $(VENV)/installed-test
-	$(RUN) -m pytest -q $(ARGS)
+	$(RUN) -m pytest -q -n $(WORKERS) --dist loadfile $(ARGS)
 
 demo: $(VENV)/installed
 	$(RUN) -m persem_ros simulate demo/flight --force

@@ -1,6 +1,7 @@
 """The import graph is part of the design: this file fails when someone bends it."""
 
 import ast
+import functools
 from graphlib import TopologicalSorter
 from pathlib import Path
 import re
@@ -85,8 +86,19 @@ class AtRuntime(ast.NodeTransformer):
         return None if ast.unparse(node.test) == 'TYPE_CHECKING' else self.generic_visit(node)
 
 
+@functools.cache
+def parsed(path):
+    """Return the syntax tree of a file."""
+    return ast.parse(path.read_text(encoding='utf-8'))
+
+
+@functools.cache
 def imports(path, body=None):
-    """Yield every dotted name that a file imports when it runs, also inside functions."""
+    """Return every dotted name that a file imports when it runs, also inside functions."""
+    return list(imported(path, body))
+
+
+def imported(path, body):
     tree = AtRuntime().visit(ast.parse(path.read_text(encoding='utf-8')))
     for node in ast.walk(tree) if body is None else body(tree):
         if isinstance(node, ast.Import):
@@ -128,6 +140,7 @@ def within(module, allowed):
     return any(module == name or module.startswith(f'{name}.') for name in allowed)
 
 
+@functools.cache
 def requirements():
     """Return the names of all distributions that setup.py requires, extras included."""
     tree = ast.parse((ROOT / 'setup.py').read_text(encoding='utf-8'))
@@ -189,7 +202,7 @@ def test_modules_form_no_cycle():
 
 @each_file
 def test_only_the_command_line_ends_the_process_and_prints(path):
-    tree = ast.parse(path.read_text(encoding='utf-8'))
+    tree = parsed(path)
     words = {ast.unparse(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
     words |= {ast.unparse(node.exc).split('(')[0] for node in ast.walk(tree)
               if isinstance(node, ast.Raise) and node.exc}
@@ -202,5 +215,5 @@ def test_only_the_command_line_ends_the_process_and_prints(path):
 @each_file
 def test_loggers_and_docstrings(path):
     text = path.read_text(encoding='utf-8')
-    assert ast.get_docstring(ast.parse(text)) or not text.strip(), 'say in a line what it is'
+    assert ast.get_docstring(parsed(path)) or not text.strip(), 'say in a line what it is'
     assert 'getLogger()' not in text, 'the root logger belongs to the application'

@@ -24,6 +24,7 @@ from persem_ros.simulate.world import make_world
 if TYPE_CHECKING:
     from persem_ros.outputs.recording.writer import RecordingWriter
     from persem_ros.simulate.render import View
+    from persem_ros.simulate.world import World
 
 START = 1_700_000_000_000_000_000       # nanoseconds, stamp of the first pose
 POSE_STEP = 10_000_000                  # nanoseconds between poses: 100 Hz
@@ -51,6 +52,8 @@ class Flight:
     plan : Plan
     workers : int
         Threads that render; the result does not depend on it.
+    world : World, optional
+        What a flight of the same seed has made already; made anew where there is none.
 
     Raises
     ------
@@ -59,7 +62,8 @@ class Flight:
 
     """
 
-    def __init__(self, plan: Plan | None = None, workers: int = 2) -> None:
+    def __init__(
+            self, plan: Plan | None = None, workers: int = 2, world: World | None = None) -> None:
         plan = Plan() if plan is None else plan
         check(plan)
         self.plan, self.workers = plan, workers
@@ -78,7 +82,8 @@ class Flight:
         self.poses = recorded([self.body(stamp) for stamp in self.pose_stamps], plan.pose_errors,
                               np.random.default_rng([plan.seed, 3]))
         self._segmenter = Segmenter(np.random.default_rng([plan.seed, 4]), plan.mistakes)
-        self._renderer = Renderer(make_world(plan.seed), self.camera)
+        self.world = world or make_world(plan.seed)
+        self._renderer = Renderer(self.world, self.camera)
 
     def body(self, stamp: int) -> NDArray[np.float64]:
         """Return the true T_map_body, 4x4, at *stamp* (ns)."""

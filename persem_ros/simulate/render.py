@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.jit import cached
 from persem_ros.simulate import materials as mat, terrain as land
-from persem_ros.simulate.shading import shade, shadow_map, sky, SUN, to_bytes
+from persem_ros.simulate.shading import shade, sky, SUN, to_bytes
 
 if TYPE_CHECKING:
     from persem_ros.frames import Camera
@@ -61,7 +61,7 @@ class Renderer:
         rays = np.ones((camera.height, camera.width, 3))
         rays[..., :2] = camera.rays
         self._rays = rays.reshape(-1, 3)
-        self._shadow = shadow_map(world.scene)
+        self._shadow = world.shadow
         self._slope = _slopes(world.terrain)
 
     def render(self, T_map_camera: NDArray[np.float64], time: float) -> View:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.simulate import shapes, terrain as land
 from persem_ros.simulate.materials import GROUND
 from persem_ros.simulate.nature import plant
+from persem_ros.simulate.shading import shadow_map
 from persem_ros.simulate.town import bridge, houses
 from persem_ros.simulate.traffic import make_fleet, movers, parked
 import trimesh
@@ -66,6 +68,11 @@ class World:
     terrain: object
     scene: Scene
     fleet: object
+
+    @cached_property
+    def shadow(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return shading.shadow_map of what stands still."""
+        return shadow_map(self.scene)
 
     def traffic(self, time: float) -> Scene:
         """Return the Scene of the moving vehicles at *time* in seconds."""

@@ -89,11 +89,11 @@ def test_without_truth_there_is_still_a_page(tmp_path, capsys):
     assert (tmp_path / 'out' / 'figures' / 'map-blind.png').exists()
 
 
-def test_one_method_and_one_frame(tmp_path):
+@pytest.mark.parametrize('method', ['raw2d', 'persem'])
+def test_one_method_and_one_frame(tmp_path, method):
     short = worlds.write(tmp_path / 'short', frames=1)
-    for method in ('raw2d', 'persem'):
-        run.evaluate([short], tmp_path / method, Config(), (method,), workers=1)
-        Tags((tmp_path / method / 'report.html').read_text())
+    run.evaluate([short], tmp_path / method, Config(), (method,), workers=1)
+    Tags((tmp_path / method / 'report.html').read_text())
 
 
 def test_missing_matplotlib_is_said(monkeypatch):

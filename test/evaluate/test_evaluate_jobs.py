@@ -50,14 +50,14 @@ def test_processes_give_the_same(tasks, expected):
     same(by_place(jobs.results(tasks, 2)), expected)
 
 
-def test_a_failure_does_not_stop_the_others(tasks, tmp_path):
+@pytest.mark.parametrize('workers', [1, 2])
+def test_a_failure_does_not_stop_the_others(tasks, tmp_path, workers):
     broken = Task(str(worlds.write(tmp_path / 'empty', frames=0)), Config())
-    for workers in (1, 2):
-        found = []
-        with pytest.raises(PersemError, match=r'empty.*1 of 3 failed'):
-            for place, *_ in jobs.results([tasks[0], broken, tasks[1]], workers):
-                found.append(place)
-        assert sorted(found) == [0, 2]
+    found = []
+    with pytest.raises(PersemError, match=r'empty.*1 of 3 failed'):
+        for place, *_ in jobs.results([tasks[0], broken, tasks[1]], workers):
+            found.append(place)
+    assert sorted(found) == [0, 2]
 
 
 def test_a_worker_that_dies_is_said(tasks):
@@ -73,8 +73,9 @@ def test_a_worker_that_dies_is_said(tasks):
     killer.join()
 
 
-def test_no_scheduler_there(tasks, capsys):
+def test_no_scheduler_there(tasks, capsys, monkeypatch):
     pytest.importorskip('distributed')
+    monkeypatch.setattr(jobs, 'PATIENCE', 1)
     words = ['evaluate', tasks[0].recording, '--scheduler', 'tcp://127.0.0.1:9']
     assert cli.main(words) == 1
     error = capsys.readouterr().err.splitlines()
@@ -87,44 +88,60 @@ def test_cluster_is_an_extra(tasks, monkeypatch):
         by_place(jobs.results(tasks, scheduler='tcp://127.0.0.1:9'))
 
 
-@pytest.fixture
-def cluster(tmp_path):
-    """Yield (address, worker processes): a scheduler and two workers on loopback."""
+DASK = ('from distributed.cli import dask_scheduler, dask_worker; import sys; '
+        'getattr(sys.modules[f"distributed.cli.dask_{sys.argv[1]}"], "main")(sys.argv[2:])')
+
+
+def dask(folder, *words):
+    """Start a scheduler or a worker; return its process."""
+    return subprocess.Popen(
+        [sys.executable, '-c', DASK, *words, '--no-dashboard'], stderr=subprocess.DEVNULL,
+        cwd=folder, env={**os.environ, 'PYTHONPATH': str(Path(__file__).resolve().parents[2])})
+
+
+@pytest.fixture(scope='module')
+def scheduler(tmp_path_factory):
+    """Yield (address, file) of a scheduler on loopback, without workers."""
     pytest.importorskip('distributed')
-    where = tmp_path / 'scheduler.json'
-    command = [sys.executable, '-m', 'distributed.cli.dask_scheduler', '--host', '127.0.0.1',
-               '--port', '0', '--no-dashboard', '--scheduler-file', str(where)]
-    here = {**os.environ, 'PYTHONPATH': str(Path(__file__).resolve().parents[2])}
-    processes = [subprocess.Popen(command, stderr=subprocess.DEVNULL, cwd=tmp_path, env=here)]
+    folder = tmp_path_factory.mktemp('scheduler')
+    where = folder / 'scheduler.json'
+    process = dask(folder, 'scheduler', '--host', '127.0.0.1', '--port', '0', '--scheduler-file',
+                   str(where), '--idle-timeout', '300 s')       # should nobody live to kill it
     try:
         for _ in range(600):
             if where.exists() and where.stat().st_size:
                 break
             time.sleep(0.1)
-        for _ in range(2):
-            processes.append(subprocess.Popen(
-                [sys.executable, '-m', 'distributed.cli.dask_worker', '--scheduler-file',
-                 str(where), '--nthreads', '1', '--no-dashboard', '--no-nanny',
-                 '--local-directory', str(tmp_path)], stderr=subprocess.DEVNULL, cwd=tmp_path,
-                env=here))
-        yield json.loads(where.read_text())['address'], processes[1:]
+        yield json.loads(where.read_text())['address'], where
     finally:
-        for process in reversed(processes):
+        process.kill()
+        process.wait()
+
+
+@pytest.fixture
+def workers(scheduler, tmp_path):
+    """Yield the processes of two workers of the scheduler; afterwards it has none."""
+    from distributed import Client
+    address, where = scheduler
+    processes = [dask(tmp_path, 'worker', '--scheduler-file', str(where), '--nthreads', '1',
+                      '--no-nanny', '--death-timeout', '60',
+                      '--local-directory', str(tmp_path)) for _ in range(2)]
+    try:
+        with Client(address, set_as_default=False) as client:
+            client.wait_for_workers(2, timeout=60)
+        yield processes
+    finally:
+        for process in processes:
             process.kill()
             process.wait()
+        with Client(address, set_as_default=False) as client:
+            while client.scheduler_info()['workers']:
+                time.sleep(0.1)
 
 
-def wait_for_workers(address, number):
-    from distributed import Client
-    with Client(address, set_as_default=False) as client:
-        client.wait_for_workers(number, timeout=60)
-
-
-def test_cluster_gives_the_same_though_a_worker_dies(cluster, tasks, expected):
-    address, workers = cluster
-    wait_for_workers(address, 2)
+def test_cluster_gives_the_same_though_a_worker_dies(scheduler, workers, tasks, expected):
     found = {}
-    for place, summary, arrays in jobs.results(tasks, scheduler=address):
+    for place, summary, arrays in jobs.results(tasks, scheduler=scheduler[0]):
         if not found:
             workers[0].kill()       # in the midst of its next task
         found[place] = summary, arrays
@@ -132,12 +149,6 @@ def test_cluster_gives_the_same_though_a_worker_dies(cluster, tasks, expected):
     same(found, expected)
 
 
-def test_a_cluster_without_workers(cluster, tasks):
-    address, workers = cluster
-    wait_for_workers(address, 2)
-    for worker in workers:
-        worker.terminate()
-        worker.wait(30)
-    time.sleep(0.5)
+def test_a_cluster_without_workers(scheduler, tasks):
     with pytest.raises(PersemError, match='has no workers'):
-        by_place(jobs.results(tasks, scheduler=address))
+        by_place(jobs.results(tasks, scheduler=scheduler[0]))

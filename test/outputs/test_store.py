@@ -41,7 +41,8 @@ def plain(memory):
     values['sessions'] = {number: (session.uuid, {name: T.tolist() for name, T in
                                                   session.mounts.items()})
                           for number, session in saved.frames.sessions.items()}
-    return {name: (str(value.dtype), value.tolist()) if isinstance(value, np.ndarray) else value
+    return {name: (str(value.dtype), value.shape, value.tobytes())
+            if isinstance(value, np.ndarray) else value
             for name, value in values.items()}
 
 

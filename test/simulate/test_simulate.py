@@ -36,9 +36,9 @@ def exact_frames(exact):
 
 
 @pytest.fixture(scope='module')
-def noisy():
+def noisy(exact):
     """Return the same flight with the default errors."""
-    return Flight(PLAN, workers=2)
+    return Flight(PLAN, workers=2, world=exact.world)
 
 
 @pytest.fixture(scope='module')
@@ -96,7 +96,7 @@ def test_reprojection_error_is_below_a_centimetre(exact, exact_frames):
         seen = (local[:, 2] > 1) & (u > 0) & (v > 0) & (u < PLAN.width - 1) & (v < PLAN.height - 1)
         points, local = points[seen], local[seen]
         origin = there.T_map_camera[:3, 3]
-        hit, ray, _ = exact._renderer.world.scene.caster.intersects_location(
+        hit, ray, _ = exact.world.scene.caster.intersects_location(
             np.broadcast_to(origin, points.shape), points - origin, multiple_hits=False)
         error = np.linalg.norm(hit - origin, axis=1) \
             - np.linalg.norm(points[ray] - origin, axis=1)
@@ -117,7 +117,7 @@ def test_water_is_level(exact_frames):
 
 
 def test_labels_agree_with_the_geometry(exact, exact_frames):
-    terrain = exact._renderer.world.terrain
+    terrain = exact.world.terrain
     seen = set()
     for frame in exact_frames:
         inside = np.isfinite(frame.depth)
@@ -143,7 +143,7 @@ def test_labels_agree_with_the_geometry(exact, exact_frames):
 
 def test_rays_that_hit_a_building_are_labelled_building(exact, exact_frames):
     """The face nearest to a pixel's point, found by another cast, has the pixel's class."""
-    scene = exact._renderer.world.scene
+    scene = exact.world.scene
     frame = next(f for f in exact_frames if (f.truth == mat.BUILDING).mean() > 0.05)
     for label in (mat.BUILDING, mat.TREE):
         points = points_of(frame)[frame.truth == label][::5]
@@ -192,7 +192,7 @@ def test_the_camera_is_mounted_as_said(exact):
 
 
 def test_traffic_moves(exact):
-    world = exact._renderer.world
+    world = exact.world
     x, y, yaw = world.fleet.at(3.0)
     ahead = np.array(world.fleet.at(3.5)[:2]) - (x, y)
     speed = np.hypot(*ahead) / 0.5

@@ -47,6 +47,8 @@ def new_figure(width: float, height: float) -> Any:
 
 def save(figure: Any, path: Path) -> dict[str, bytes]:
     """Write <path>.svg and <path>.png; return the bytes of both."""
+    figure.draw_without_rendering()
+    figure.set_layout_engine('none')      # laid out once for both, not anew for each
     images = {}
     for kind, options in (('svg', {'metadata': {'Date': None}}), ('png', {'dpi': 150})):
         out = io.BytesIO()

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from persem_ros.evaluate.work.task import Task
 
 WORKER_BYTES = 1.5e9        # free memory that a worker should find
+PATIENCE = 10               # seconds for a scheduler to answer
 _done = None                # frames that all workers have read, in shared memory
 
 
@@ -130,7 +131,7 @@ def _on_cluster(
         raise PersemError(f'--scheduler needs dask.distributed ({error}); install it with: pip '
                           "install 'persem_ros[cluster]'") from None
     try:
-        client = Client(address, timeout=10, set_as_default=False)
+        client = Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise PersemError(f'--scheduler {address}: no scheduler answers there '
                           f'({" ".join(str(error).split())[:120]}); start one with: dask '
