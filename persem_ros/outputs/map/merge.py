@@ -1,0 +1,159 @@
+"""Several maps become one: as if their recordings had been mapped one after the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from persem_ros.core.frame.sessions import add_session, fingerprint, nothing_forgotten, whole
+from persem_ros.core.memory.voxel_memory import VoxelMemory
+from persem_ros.errors import PersemError
+from persem_ros.outputs.map.store import StoredMap
+from persem_ros.settings.legend import Legend, LegendClass
+
+LAST_ID = 65534
+
+
+@dataclass
+class Merged:
+    """
+    A merge under way.
+
+    Attributes
+    ----------
+    memory : VoxelMemory
+        The map so far.
+    legend : Legend
+    exact : bool
+        Whether it equals one run over all recordings.
+    notes : list of str
+        What a user should know, a sentence each.
+
+    """
+
+    memory: VoxelMemory
+    legend: Legend
+    exact: bool
+    notes: list[str]
+
+
+def merge(maps: list[StoredMap], by_id: bool = False, legend: Legend | None = None) -> Merged:
+    """
+    Return what becomes of some maps, not yet refined.
+
+    Parameters
+    ----------
+    maps : list of StoredMap
+        In the order of their sessions.
+    by_id : bool
+        Ids mean the same in all of them, whatever their legends say.
+    legend : Legend, optional
+        Names the ids of all of them.
+
+    Raises
+    ------
+    PersemError
+        Where voxels or classes do not fit each other, or observations are missing.
+
+    """
+    for one in maps:
+        if not whole(one.saved):
+            raise PersemError(f'{one.path} has let go of observations (memory.max_history '
+                              f'{one.saved.max_history}) and a merge adds all of them again; map '
+                              'it anew with memory.max_history 0')
+    first = maps[0]
+    done = Merged(_unbounded(first), legend or first.legend, True, [])
+    known = {session.uuid: (first, number)
+             for number, session in first.saved.frames.sessions.items()}
+    for one in maps:
+        if not nothing_forgotten(one.saved):
+            done.exact = False
+            done.notes.append(f'{one.path} has let go of voxels, which are in no merge')
+    for one in maps[1:]:
+        shift = _shift(first, one)
+        ids = np.arange(65536).astype(np.uint16) if by_id or legend is not None else \
+            _ids(done, one)
+        renamed = (ids != np.arange(65536)) & (one.saved.seen_ids > 0)
+        done.exact &= not shift.any() and not renamed.any()
+        for number, session in sorted(one.saved.frames.sessions.items()):
+            if session.uuid in known:
+                _check_same(known[session.uuid], (one, number))
+                done.notes.append(f'session {number} of {one.path} is in '
+                                  f'{known[session.uuid][0].path}, too, and taken once')
+                continue
+            known[session.uuid] = one, number
+            add_session(done.memory, one.saved, number, ids, shift)
+        done.memory.seen_ids[ids[np.flatnonzero(one.saved.seen_ids)]] = 1
+    return done
+
+
+def _unbounded(first: StoredMap) -> VoxelMemory:
+    """Return the memory of a map, from which nothing is dropped."""
+    memory = first.memory()
+    memory.max_history = 0
+    return memory
+
+
+def _shift(first: StoredMap, one: StoredMap) -> NDArray[np.int64]:
+    """Return what is added to voxel indices of a map to be those of the first; refuse others."""
+    for name, mine, other in (
+            ('memory.voxel_size', first.saved.voxel_size, one.saved.voxel_size),
+            ('frames.map', first.map_frame, one.map_frame)):
+        if mine != other:
+            raise PersemError(f'{one.path} was made with {name} {other}, {first.path} with '
+                              f'{mine}; map its recording anew with --set {name}={mine}')
+    apart = (np.array(one.saved.origin) - first.saved.origin) / first.saved.voxel_size
+    if np.abs(apart - np.rint(apart)).max() > 1e-6:
+        raise PersemError(f'the origins of {first.path} and {one.path} are not whole voxels apart '
+                          f'({" ".join(f"{x:.3f}" for x in apart)}); map one anew with --set '
+                          f'map.origin={list(first.saved.origin)}')
+    return np.rint(apart).astype(np.int64)
+
+
+def _check_same(mine: tuple[StoredMap, int], other: tuple[StoredMap, int]) -> None:
+    """Refuse two sessions of one name that saw something else."""
+    if fingerprint(mine[0].saved, mine[1]) != fingerprint(other[0].saved, other[1]):
+        raise PersemError(f'session {other[1]} of {other[0].path} and session {mine[1]} of '
+                          f'{mine[0].path} are the same flight mapped differently; merge one of '
+                          'them')
+
+
+def _ids(done: Merged, one: StoredMap) -> NDArray[np.uint16]:
+    """Return what the ids of a map become by the names of their classes; extend the legend."""
+    ids = np.arange(65536).astype(np.uint16)
+    used = np.flatnonzero(one.saved.seen_ids).tolist()
+    if not done.legend.classes and not one.legend.classes:
+        return ids
+    settle = '--by-id takes ids as they are, --legend FILE names them'
+    names = _names(done.legend, 'the maps before', settle)
+    theirs = {item.id: item for item in one.legend.classes}
+    _names(one.legend, str(one.path), settle)
+    for c in np.flatnonzero(done.memory.seen_ids).tolist():
+        if c not in done.legend.ids:
+            raise PersemError(f'id {c} is used before {one.path} and has no name; {settle}')
+    taken = {*done.legend.ids, *one.legend.ids, *used, *np.flatnonzero(done.memory.seen_ids),
+             *one.config().memory.ignore_labels, *one.config().memory.dynamic_labels}
+    for c in used:
+        item: LegendClass | None = theirs.get(c)
+        if item is None:
+            raise PersemError(f'{one.path}: id {c} is used and has no name; {settle}')
+        if item.name not in names:
+            fresh = next(i for i in range(LAST_ID + 1) if i not in taken)
+            taken.add(fresh)
+            names[item.name] = fresh
+            classes = *done.legend.classes, replace(item, id=fresh)
+            done.legend = Legend(done.legend.title, classes)
+        ids[c] = names[item.name]
+    return ids
+
+
+def _names(legend: Legend, where: str, settle: str) -> dict[str, int]:
+    """Return {name: id}; refuse a name that two ids have."""
+    names: dict[str, int] = {}
+    for item in legend.classes:
+        if item.name in names:
+            raise PersemError(f'{where}: {item.name!r} is the name of id {names[item.name]} and '
+                              f'of id {item.id}; {settle}')
+        names[item.name] = item.id
+    return names

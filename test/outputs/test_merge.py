@@ -1,0 +1,135 @@
+"""Maps that were merged: the flight that they are halves of; classes by name; refusals."""
+
+from dataclasses import replace
+
+import core_worlds as cw
+from hypothesis import given, strategies as st
+import numpy as np
+from persem_ros.cli import main
+from persem_ros.core.refine.job import refine
+from persem_ros.errors import PersemError
+from persem_ros.outputs.map import store
+from persem_ros.outputs.map.merge import merge
+from persem_ros.settings.config import Config, updated
+from persem_ros.settings.legend import Legend, LegendClass
+import pytest
+from test_store import plain
+
+CONFIG = updated(Config(), {'refine.min_observations': 1})
+
+
+def saved(path, frames, legend=None, config=CONFIG):
+    """Save a map of some frames, refined; return what is in the file."""
+    memory = cw.core_of(frames, config.memory.max_history)
+    refine(memory, config.refine)
+    store.save(path, memory, config, legend)
+    return store.load(path)
+
+
+def named(*names, first=0):
+    """Return a Legend of some names with ids from *first* on."""
+    return Legend('', tuple(LegendClass(first + k, name, (k, 0, 0), name)
+                            for k, name in enumerate(names)))
+
+
+def frames(*labels, first=0):
+    """Return a frame a label, one voxel each."""
+    return [(10 ** 9 * (first + k), {(k, 0, 0): (c, 1.0)}, [c]) for k, c in enumerate(labels)]
+
+
+@cw.examples(max_examples=15)
+@given(cw.worlds(most_frames=16), st.integers(1, 14))
+def test_two_halves_of_a_flight_are_the_flight(tmp_path_factory, world, cut):
+    folder = tmp_path_factory.mktemp('maps')
+    halves = [part for part in (world[:cut], world[cut:]) if part]
+    straight = cw.core_of([])
+    for k, part in enumerate(halves):
+        if k:
+            straight.new_session()
+        for frame in part:
+            straight.add(cw.observations(*frame))
+    refine(straight, CONFIG.refine)
+    done = merge([saved(folder / f'{k}.persem', part) for k, part in enumerate(halves)])
+    refine(done.memory, CONFIG.refine)
+    assert done.exact and not done.notes
+    assert plain(done.memory) == plain(straight)
+
+
+def test_classes_are_matched_by_name(tmp_path):
+    one = saved(tmp_path / 'a', frames(1, 2), named('road', 'tree', first=1))
+    two = saved(tmp_path / 'b', frames(1, 2, 3, first=9), named('tree', 'road', 'roof', first=1))
+    done = merge([one, two])
+    assert {c.id: c.name for c in done.legend.classes} == {1: 'road', 2: 'tree', 0: 'roof'}
+    assert not done.exact
+    assert [done.memory.history((x, 0, 0))[0].tolist() for x in range(3)] == [[1, 2], [2, 1], [0]]
+    assert np.flatnonzero(done.memory.seen_ids).tolist() == [0, 1, 2]
+    done = merge([one, two], by_id=True)
+    assert done.exact
+    assert [done.memory.history((x, 0, 0))[0].tolist() for x in range(3)] == [[1, 1], [2, 2], [3]]
+
+
+def test_origins_that_are_whole_voxels_apart(tmp_path):
+    there = replace(CONFIG, map=replace(CONFIG.map, origin=(1.5, 0.0, -0.5)))
+    one = saved(tmp_path / 'a', frames(1))
+    memory = cw.VoxelMemory(0.5, there.map.origin)
+    memory.add(cw.observations(*frames(2, first=5)[0]))
+    store.save(tmp_path / 'b', memory, there)
+    done = merge([one, store.load(tmp_path / 'b')])
+    assert done.memory.history((3, 0, -1))[0].tolist() == [2] and not done.exact
+
+
+def test_a_session_that_is_in_both_is_taken_once(tmp_path):
+    one = saved(tmp_path / 'a', frames(1, 2))
+    done = merge([one, saved(tmp_path / 'b', frames(1, 2))])
+    assert done.memory.n_observations == 2 and 'taken once' in done.notes[0]
+    with pytest.raises(PersemError, match='the same flight mapped differently'):
+        merge([one, saved(tmp_path / 'c', [*frames(1, 2), *frames(5, first=7)])])
+
+
+@pytest.mark.parametrize('change, said', [
+    ({'memory.voxel_size': 0.25}, 'voxel_size 0.25, .* anew with --set memory.voxel_size=0.5'),
+    ({'frames.map': 'odom'}, 'frames.map odom, .* anew with --set frames.map=map'),
+    ({'map.origin': [0.25, 0.0, 0.0]}, r'not whole voxels apart \(0.500 0.000 0.000\)')])
+def test_voxels_that_do_not_fit_are_refused(tmp_path, change, said):
+    other = updated(CONFIG, change)
+    memory = cw.VoxelMemory(other.memory.voxel_size, other.map.origin)
+    memory.add(cw.observations(*frames(1, first=5)[0]))
+    store.save(tmp_path / 'b', memory, other)
+    with pytest.raises(PersemError, match=said):
+        merge([saved(tmp_path / 'a', frames(1)), store.load(tmp_path / 'b')])
+
+
+@pytest.mark.parametrize('legends, said', [
+    ((named('road', 'tree'), named('road')), 'id 1 is used and has no name; --by-id'),
+    ((named('road'), named('road', 'tree')), 'id 1 is used before .* and has no name'),
+    ((named('road', 'tree'), named('road', 'road')), "'road' is the name of id 0 and of id 1")])
+def test_legends_that_contradict_are_refused(tmp_path, legends, said):
+    maps = [saved(tmp_path / str(k), frames(0, 1, first=9 * k), legend)
+            for k, legend in enumerate(legends)]
+    with pytest.raises(PersemError, match=said):
+        merge(maps)
+    assert merge(maps, legend=named('a', 'b')).legend == named('a', 'b')
+
+
+def test_observations_that_are_missing(tmp_path):
+    bounded = updated(CONFIG, {'memory.max_history': 1})
+    many = [(k, {(0, 0, 0): (1, 1.0)}, ()) for k in range(9)]
+    one, two = saved(tmp_path / 'a', frames(1)), saved(tmp_path / 'b', many, config=bounded)
+    with pytest.raises(PersemError, match='b has let go of observations .*max_history 1'):
+        merge([one, two])
+
+
+def test_the_command(tmp_path, capsys):
+    files = [str(tmp_path / name) for name in 'ab']
+    saved(files[0], frames(1, 2)), saved(files[1], frames(3, first=5))
+    out = str(tmp_path / 'c')
+    assert main(['map', 'merge', *files, '--out', out]) == 0
+    assert capsys.readouterr().out == (f'2 voxels, 3 observations, 2 sessions in {out}: equal to '
+                                       'one run over all recordings\n')
+    assert store.load(out).saved.frames.session.tolist() == [0, 0, 1]
+    for arguments, said in (([*files, '--out', out], 'exists'),
+                            ([*files, '--out', files[0]], 'is one of the maps'),
+                            ([files[0], '--out', out], 'expected two files')):
+        assert main(['map', 'merge', *arguments]) == 1
+        assert said in capsys.readouterr().err
+    assert main(['map', 'merge', *files, '--out', out, '--force']) == 0
