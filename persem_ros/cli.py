@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 import sys
-from typing import Any
 
 from persem_ros import ending
 
@@ -13,10 +11,12 @@ if sys.argv[:1] and sys.argv[0].rpartition('/')[2] in ('persem', '__main__.py'):
     ending.handle(ending.silently if 'multiprocessing.spawn' in sys.modules else ending.at_once)
 
 import argparse                                     # noqa: E402, I100
+from collections.abc import Iterator                # noqa: E402
 from contextlib import contextmanager, redirect_stdout, suppress    # noqa: E402
 import importlib                                    # noqa: E402
 import logging                                      # noqa: E402
 import os                                           # noqa: E402
+from typing import Any                              # noqa: E402
 
 from persem_ros import __version__                  # noqa: E402
 from persem_ros.errors import PersemError           # noqa: E402

@@ -7,12 +7,12 @@ callback or while the interpreter takes itself apart.
 
 """
 
-import atexit
-from contextlib import suppress
 import os
 import signal
 import sys
-import threading
+
+# Everything else is imported when it is needed: until handle() was called, which the command line
+# does right after this, an interrupt ends in a traceback.
 
 INTERRUPTED = 130
 PATIENCE = 5.0          # s for cleaning up, where a long call does not end
@@ -28,9 +28,10 @@ def interrupted() -> bool:
 
 def at_once(*_: object) -> None:
     """Leave: nothing has begun yet, or all is done and written."""
-    with suppress(OSError):
+    try:
         os.write(2, b'persem: interrupted\n')
-    os._exit(INTERRUPTED)
+    finally:
+        os._exit(INTERRUPTED)
 
 
 def silently(*_: object) -> None:
@@ -47,6 +48,7 @@ def handle(handler: object) -> None:
 
 def begin() -> None:
     """Let a signal stop the run that begins as Ctrl-C does, from any place in it."""
+    import threading
     read, write = os.pipe()
     os.set_blocking(write, False)
     signal.set_wakeup_fd(write, warn_on_full_buffer=False)
@@ -59,6 +61,8 @@ def begin() -> None:
 
 def leave(status: int) -> None:
     """End the process with *status*, or 130 where a signal has come; there is no way back."""
+    import atexit
+    from contextlib import suppress
     handle(at_once)
     for stream in (sys.stdout, sys.stderr):
         with suppress(Exception):       # a reader that went away, a full disk
@@ -94,5 +98,6 @@ def _wait(pipe: int) -> None:
         got = os.read(pipe, 1)
         if not got or got[0] in SIGNALS:
             break
-    threading.Event().wait(PATIENCE)
+    import time
+    time.sleep(PATIENCE)
     at_once()

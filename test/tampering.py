@@ -9,13 +9,17 @@ import struct
 import numpy as np
 from persem_ros.core.frame.observe import observe
 from persem_ros.core.memory.evict import keep_near
+from persem_ros.core.memory.paging import Pager
 from persem_ros.core.refine.explain import explain
-from persem_ros.core.refine.job import label, refine
+from persem_ros.core.refine.job import label, refine, refine_all
 from persem_ros.core.refine.regions import regions
+from persem_ros.outputs.export.source import MapSource
 from persem_ros.outputs.map import rows, store
 from persem_ros.outputs.map.cloud import map_points
-from persem_ros.outputs.map.explanation import explanation
-from persem_ros.settings.config import METHODS, Refine
+from persem_ros.outputs.map.explanation import explanation, of_file
+from persem_ros.outputs.map.living import LivingMap
+from persem_ros.settings.config import Config, METHODS, Refine
+from persem_ros.settings.legend import Legend
 
 NUMBERS = (0, 1, -1, 2, 3, 7, 255, 511, 512, 65534, 65535, 65536, 2 ** 28 - 2, 2 ** 28,
            2 ** 31 - 1, 2 ** 31, 2 ** 32 - 1, 2 ** 53, 2 ** 63 - 1, -2 ** 31, -2 ** 63)
@@ -190,7 +194,7 @@ def exercise(path, again):
     regions(memory)
     if len(columns['voxel']):
         voxel = columns['voxel'][0]
-        explanation(stored, voxel, explain(memory, voxel, config.refine))
+        explanation(of_file(stored), voxel, explain(memory, voxel, config.refine))
     refine(memory, Refine())
     memory.new_session()
     far = [[0.0, 0.0, 1.0], [0.0, 5.0, 1.0]] + [
@@ -205,3 +209,38 @@ def exercise(path, again):
     keep_near(memory, (0, 0, 0), 1.0)
     memory.voxels()
     refine(memory, Refine())
+
+
+def exercise_living(path):
+    """
+    Attach a map file, page all of it in, map on, write it and page it out.
+
+    Raises
+    ------
+    PersemError
+        For a file that is refused; any other exception is a defect.
+
+    """
+    living = LivingMap(path, Config(), Legend())
+    try:
+        pager = Pager(living.memory(), living)
+        memory = pager.memory
+        pager.need(living.index())
+        seen = observe(np.array([[0.0, 0.0, 1.0], [0.0, 5.0, 1.0]]), np.array([1, 2], np.int32),
+                       np.eye(4), memory.voxel_size, stamp=2)
+        pager.need_voxels(seen.voxels)
+        memory.add(seen)
+        columns = memory.voxels()
+        assert set(columns['label'].tolist()) <= set(np.flatnonzero(memory.seen_ids).tolist())
+        pager.save()
+        pager.let_go((0.0, 0.0, 0.0), 2)
+        list(refine_all(memory, Refine(min_observations=1), 5))
+        pager.save()
+    finally:
+        living.close()
+
+
+def export(path):
+    """Read a map file a few blocks at a time, as exports do; raises as exercise() does."""
+    for columns in MapSource(path).chunks(blocks=2):
+        assert len(columns['voxel']) == len(columns['label'])

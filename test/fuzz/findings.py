@@ -44,6 +44,16 @@ def _camera_info(**fields):
     return kind, bytes(store.serialize_cdr(info, kind))
 
 
+def _cloud(**fields):
+    store = get_typestore(Stores.ROS2_JAZZY)
+    points = np.zeros(5, [('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('label', '<u2')])
+    cloud = MessageFactory(store.types).cloud(1, 'camera', points)
+    for name, value in fields.items():
+        setattr(cloud.fields[0], name, value)
+    kind = 'sensor_msgs/msg/PointCloud2'
+    return kind, bytes(store.serialize_cdr(cloud, kind))
+
+
 def _sql(*statements):
     def change(path):
         with closing(sqlite3.connect(path)) as db:
@@ -82,6 +92,17 @@ def _lengths(files):
     name = next(name for name in files if name.endswith('.mcap'))
     data = files[name]
     return {name: data[:9] + b'\xff' * 8 + data[17:-300]}
+
+
+def _short_index(files):
+    """Return an mcap file whose last index of a chunk says of itself that it is longer."""
+    name = next(name for name in files if name.endswith('.mcap'))
+    data = bytearray(files[name])
+    at = data.rindex(b'\x08', 0, data.rindex(b'\x0b'))
+    while int.from_bytes(data[at + 1:at + 9], 'little') > 500:      # not the record itself
+        at = data.rindex(b'\x08', 0, at)
+    data[at + 9 + 32:at + 9 + 36] = b'\xff' * 4
+    return {name: bytes(data)}
 
 
 def _salvage(files):
@@ -128,6 +149,8 @@ FINDINGS = {
     'a text of 4 GiB in a message': (
         'cdr', lambda: ('std_msgs/msg/String', b'\0\1\0\0' + b'\xff' * 4 + b'abc\0'),
         'cannot be deserialized'),
+    'a cloud with three x a point': ('cdr', lambda: _cloud(count=3), 'expected one coordinate'),
+    'a cloud with 4 billion x a point': ('cdr', lambda: _cloud(count=2 ** 32 - 1), 'fit into'),
     'a legend of a billion values': ('legend', lambda: 'classes:\n' + BOMB, 'alias'),
     'a legend that holds itself': ('legend', lambda: '&a {classes: [*a]}', 'alias'),
     'a legend of 5000 levels': ('legend', lambda: 'classes: ' + '[' * 5000, '32 levels'),
@@ -168,6 +191,7 @@ FINDINGS = {
         'alias'),
     'a record of 2^64 bytes': ('mcap', _lengths, 'cannot be read'),
     'a chunk of 4 GiB': ('mcap', _salvage, ''),
+    'an index longer than its record': ('mcap', _short_index, ''),
     'metadata of a billion values': ('mcap', _metadata(BOMB), ''),
     'metadata that holds itself': ('mcap', _metadata('&a {rosbag2_bagfile_information: *a}'), ''),
     'messages of NULL': ('sqlite3', _rows(NULL), ''),

@@ -1,12 +1,17 @@
 """A few kilobytes that say or unpack to gigabytes are refused, by what they say of themselves."""
 
+from contextlib import closing
+import sqlite3
 import struct
 import tracemalloc
 
+import bags
 import numpy as np
+from persem_ros.errors import PersemError
 from persem_ros.guard import limits
 from persem_ros.inputs.decode import compressed
 from persem_ros.inputs.recording import packing
+from persem_ros.inputs.recording.source import Source
 import pytest
 from rosbags.rosbag2.storage_mcap import zstd
 
@@ -58,3 +63,12 @@ def test_an_image_whose_header_says_too_much():
         with pytest.raises(ValueError, match='--set inputs.max_pixels=2700000000') as caught:
             read(form, np.frombuffer(data, np.uint8))
         assert caught.value.args[0] == 'too many pixels'
+
+
+def test_a_recording_of_messages_that_unpack_to_too_much_is_given_up(tmp_path, bomb):
+    path = bags.write(tmp_path / 'bag', 2, storage='sqlite3')
+    with closing(sqlite3.connect(next(path.glob('*.db3')))) as db:
+        db.execute('UPDATE messages SET data = ?', (bomb,))
+        db.commit()
+    with Source(path) as source, pytest.raises(PersemError, match='raise inputs.max_pixels'):
+        list(source.messages({topic.name for topic in source.topics}))

@@ -12,7 +12,7 @@ from persem_ros.outputs.map import store
 from persem_ros.settings.config import Config, Refine
 from persem_ros.settings.legend import load_legend
 import pytest
-from tampering import exercise, renew, tamper
+from tampering import exercise, exercise_living, export, renew, tamper
 
 
 @pytest.fixture(scope='module')
@@ -50,6 +50,24 @@ def test_tampered_maps_are_refused_or_safe(whole, tmp_path, seeds):
     assert refused > 5 and refused + accepted == len(seeds)
 
 
+def test_tampered_maps_are_attached_and_exported_or_refused(whole, tmp_path):
+    outcomes = []
+    for seed in range(200, 240):
+        folder = tmp_path / str(seed)       # a log lies beside the file
+        folder.mkdir()
+        done = tamper(whole, folder / 'tampered.persem', seed)
+        for use in (export, exercise_living):
+            try:
+                use(folder / 'tampered.persem')
+                outcomes.append(use)
+            except PersemError as error:
+                assert len(str(error)) < 600 and str(error).isprintable(), (seed, done)
+                outcomes.append(None)
+            except BaseException as error:
+                raise AssertionError(f'seed {seed}, {done}: {error!r}') from error
+    assert {export, exercise_living, None} == set(outcomes)
+
+
 def changed(path, whole, **columns):
     """Write the whole map with other columns."""
     saved = store.load(whole).saved
@@ -74,6 +92,8 @@ def test_a_block_twice(whole, tmp_path):
         db.commit()
     renew(path)
     assert 'a block twice' in refusal(path)
+    with pytest.raises(PersemError, match='a block twice'):
+        export(path)
 
 
 def test_frames_beyond_the_frame_table(whole, tmp_path):

@@ -55,6 +55,10 @@ def positions(cloud: NDArray[Any]) -> NDArray[np.float64]:
     if missing:
         raise BadMessage('no position', f'a point cloud has no field {missing[0]!r}, expected '
                          f'x y z; its fields are {", ".join(cloud.dtype.names or ())}')
+    several = [axis for axis in 'xyz' if cloud[axis].shape != cloud.shape]
+    if several:
+        raise BadMessage('field of several values', f'the field {several[0]!r} of a point cloud '
+                         'has several values a point, expected one coordinate')
     points = np.stack([cloud[axis].astype(np.float64) for axis in 'xyz'], axis=-1)
     points[~np.isfinite(points).all(axis=-1)] = np.nan
     return points

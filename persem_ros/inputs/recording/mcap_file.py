@@ -291,12 +291,10 @@ class McapFile:
             elif kind == CHUNK_INDEX:
                 length = int.from_bytes(data[32:36], 'little')
                 start = int.from_bytes(data[16:24], 'little')
-                self._inside[start] = {number for number, _ in struct.iter_unpack(
-                    '<HQ', data[36:36 + length // 10 * 10])}
+                self._inside[start] = {number for number, _ in _pairs(data[36:36 + length])}
             elif kind == STATISTICS:
                 total = int.from_bytes(data[:8], 'little')
-                rows = data[46:46 + (len(data) - 46) // 10 * 10]
-                stated = dict(struct.iter_unpack('<HQ', rows))
+                stated = dict(_pairs(data[46:]))
         if sum(stated.values()) == total and not self.damage \
                 and set(stated) <= set(self._channels):
             return stated
@@ -337,3 +335,8 @@ def _text(data: bytes, at: int) -> tuple[str, int]:
     if end > len(data):
         raise ValueError('a text that does not end')
     return data[at + 4:end].decode(errors='replace'), end
+
+
+def _pairs(data: bytes) -> Iterator[tuple[int, int]]:
+    """Return the (uint16, uint64) pairs of a map in a record, as far as it goes."""
+    return struct.iter_unpack('<HQ', data[:len(data) // 10 * 10])

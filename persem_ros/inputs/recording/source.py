@@ -17,6 +17,7 @@ from persem_ros.inputs.recording.mcap_file import McapFile
 from persem_ros.inputs.recording.sqlite_file import SqliteFile
 from persem_ros.inputs.recording.stamps import FIRST, HEAD, offset
 
+LARGE = 3               # messages that unpack to too much; of more nothing is read
 SHOWN = 4               # topics in a note
 REMEMBERED = 200_000    # messages of an input whose heads are kept, 250 bytes each
 
@@ -75,7 +76,7 @@ class Source:
         self._files: list[McapFile | SqliteFile] = []
         self._unpacked: TemporaryDirectory[str] | None = None
         self._packed: list[Path] = []
-        self._sizes = 0
+        self._sizes = self._large = 0
         self._heads: list[Head] | None = None       # of all messages, where they are few
         recordings = [finding.found(part) for part in finding.split(path)]
         self.name = '+'.join(found.path.stem if found.path.is_file() else
@@ -183,6 +184,9 @@ class Source:
             return packing.message(data)
         except packing.TooLarge as error:
             note = f'{self._files[file].path.name}: {error}'
+            self._large += 1
+            if self._large > LARGE:
+                raise PersemError(f'{note}; more than {LARGE} messages do') from None
             if note not in self._notes:
                 self._notes.append(note)
             return b''

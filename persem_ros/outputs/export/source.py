@@ -138,8 +138,12 @@ class MapSource:
         with reading(self.path) as (db, first):
             kinds: Any = (schema1.KINDS if first else KINDS)['blocks']
             rows: list[Any] = []
+            before: tuple[int, ...] = ()
             for row in checked(db.execute('SELECT * FROM blocks ORDER BY x, y, z'), kinds,
                                self.path.stat().st_size):
+                if before == row[:3]:
+                    raise ValueError('a block twice')
+                before = row[:3]
                 if len(rows) >= blocks and row[:2] != rows[-1][:2]:
                     yield self._chosen(_decoded(rows, first), choice)
                     rows = []

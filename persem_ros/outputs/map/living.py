@@ -25,10 +25,10 @@ from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.errors import PersemError
 from persem_ros.guard.database import check_tables, harden
 from persem_ros.outputs.map import store
-from persem_ros.outputs.map.checks import check_blocks
+from persem_ros.outputs.map.checks import check_blocks, FARTHEST_BLOCK
 from persem_ros.outputs.map.lock import WriterLock
 from persem_ros.outputs.map.rows import (
-    about_rows, block_rows, blocks_of, COLUMNS, crc_of, frame_rows, NAMES, SCHEMA,
+    about_rows, block_rows, blocks_of, COLUMNS, crc_of, frame_rows, KINDS, NAMES, SCHEMA,
     small_rows)
 from persem_ros.settings import config_file
 from persem_ros.settings.config import Config
@@ -94,7 +94,10 @@ class LivingMap:
 
     def index(self) -> NDArray[np.int32]:
         """Return the indices of all blocks, (n, 3) int32, ascending."""
-        rows = self._reader.execute('SELECT x, y, z FROM blocks ORDER BY x, y, z').fetchall()
+        # What is no place of a block is passed over: numbers beyond int32, text, fractions.
+        ours = ' AND '.join(f"{x} BETWEEN ?1 AND ?2 AND typeof({x}) = 'integer'" for x in 'xyz')
+        rows = self._reader.execute(f'SELECT x, y, z FROM blocks WHERE {ours} ORDER BY x, y, z',
+                                    (-FARTHEST_BLOCK, FARTHEST_BLOCK)).fetchall()
         return np.array(rows, np.int32).reshape(-1, 3)
 
     def read(self, index: NDArray[np.int32]) -> Blocks:
@@ -203,6 +206,9 @@ class LivingMap:
 
     def _checked(self, rows: list[Any]) -> Blocks:
         """Return what rows hold; raise one of DAMAGED where they are not as they were written."""
+        for row in rows:
+            if not all(map(isinstance, row, KINDS['blocks'])):
+                raise TypeError('a value of another type')
         blocks = blocks_of(rows)
         check_blocks(blocks, self._t, self._seen)
         return blocks
