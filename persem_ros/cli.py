@@ -46,19 +46,22 @@ def main(argv: list[str] | None = None) -> int:
 
     """
     alone = argv is None        # a process of its own, not a call
-    if alone:
-        ending.begin()
-        _repair_streams()
-    argv = list(sys.argv[1:] if argv is None else argv)
-    debug = '--debug' in argv       # wherever it stands, also behind the sub-command
-    argv = [word for word in argv if word != '--debug']
     try:
+        if alone:
+            ending.begin()
+            _repair_streams()
+        argv = list(sys.argv[1:] if argv is None else argv)
+        debug = '--debug' in argv       # wherever it stands, also behind the sub-command
+        argv = [word for word in argv if word != '--debug']
         with _logging(debug), redirect_stdout(_Plain(sys.stdout)):
             status = _status(argv, debug)
     except KeyboardInterrupt:
         status = INTERRUPTED
     if alone:
-        ending.leave(status)
+        try:
+            ending.leave(status)
+        except KeyboardInterrupt:       # as it began
+            ending.leave(INTERRUPTED)
     return status
 
 

@@ -221,7 +221,7 @@ def exercise_living(path):
         For a file that is refused; any other exception is a defect.
 
     """
-    living = LivingMap(path, Config(), Legend())
+    living = LivingMap(path, Config(), Legend)
     try:
         pager = Pager(living.memory(), living)
         memory = pager.memory
