@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, TYPE_CHECKING
 
-from persem_ros.commands import map_export, map_georeference, map_merge
+from persem_ros.commands import map_export, map_forget, map_georeference, map_merge
 from persem_ros.errors import PersemError
 
 if TYPE_CHECKING:
@@ -31,6 +31,7 @@ def add_parser(subparsers: _SubParsersAction[Any]) -> None:
     map_export.add_parser(actions)
     map_georeference.add_parser(actions)
     map_merge.add_parser(actions)
+    map_forget.add_parser(actions)
 
     query_parser = actions.add_parser(
         'query', help='the history of one voxel, its evidence, its label and why',

@@ -9,6 +9,7 @@ from persem_ros.cli import main
 from persem_ros.core.refine.job import refine
 from persem_ros.errors import PersemError
 from persem_ros.outputs.map import store
+from persem_ros.outputs.map.lock import WriterLock
 from persem_ros.outputs.map.merge import merge
 from persem_ros.settings.config import Config, updated
 from persem_ros.settings.legend import Legend, LegendClass
@@ -133,3 +134,32 @@ def test_the_command(tmp_path, capsys):
         assert main(['map', 'merge', *arguments]) == 1
         assert said in capsys.readouterr().err
     assert main(['map', 'merge', *files, '--out', out, '--force']) == 0
+
+
+@cw.examples(max_examples=10)
+@given(cw.seeds, st.integers(0, 2))
+def test_what_was_merged_can_be_forgotten(tmp_path_factory, seed, number):
+    folder, rng = tmp_path_factory.mktemp('maps'), np.random.default_rng(seed)
+    parts = [[(100 * k + t, {tuple(v): (int(rng.choice(cw.IDS)), float(rng.choice(cw.EXACT)))
+                             for v in rng.integers(-4, 4, (9, 3)).tolist()}, ())
+              for t in range(4)] for k in range(3)]
+    files = [str(folder / f'{k}.persem') for k in range(3)]
+    for file, part in zip(files, parts):
+        saved(file, part)
+    out, others = str(folder / 'all.persem'), [f for k, f in enumerate(files) if k != number]
+    assert main(['map', 'merge', *files, '--out', out]) == 0
+    assert main(['map', 'forget', out, '--session', str(number)]) == 0
+    assert main(['map', 'merge', *others, '--out', str(folder / 'two.persem')]) == 0
+    assert (folder / 'all.persem').read_bytes() == (folder / 'two.persem').read_bytes()
+
+
+def test_sessions_that_cannot_be_forgotten(tmp_path, capsys):
+    path = tmp_path / 'a'
+    saved(path, frames(1, 2))
+    lock = WriterLock(path)
+    assert main(['map', 'forget', str(path), '--session', '0']) == 1
+    assert 'is being written by' in capsys.readouterr().err
+    lock.close()
+    for number, said in ((3, 'has no session 3; it has 0'), (0, 'no other session than 0')):
+        assert main(['map', 'forget', str(path), '--session', str(number)]) == 1
+        assert said in capsys.readouterr().err

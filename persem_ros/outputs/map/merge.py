@@ -157,3 +157,24 @@ def _names(legend: Legend, where: str, settle: str) -> dict[str, int]:
                               f'of id {item.id}; {settle}')
         names[item.name] = item.id
     return names
+
+
+def without(stored: StoredMap, session: int) -> VoxelMemory:
+    """Return the memory that a map would have been without one session, not yet refined."""
+    saved = stored.saved
+    there = sorted(saved.frames.sessions)
+    if session not in there:
+        raise PersemError(f'{stored.path} has no session {session}; it has '
+                          f'{", ".join(map(str, there)) or "none"}')
+    if there == [session]:
+        raise PersemError(f'{stored.path} has no other session than {session}; remove the file')
+    if not nothing_forgotten(saved):
+        raise PersemError(f'{stored.path} has let go of observations, so that what is left would '
+                          'not be what the other sessions saw; map them anew')
+    memory = VoxelMemory(saved.voxel_size, saved.origin)
+    memory.session = -1
+    every = np.arange(65536).astype(np.uint16)
+    for number in there:
+        if number != session:
+            add_session(memory, saved, number, every, np.zeros(3, np.int64))
+    return memory
