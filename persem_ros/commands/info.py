@@ -34,7 +34,7 @@ def run(args: Namespace) -> int | None:
     from persem_ros.inputs.recording.source import Source
     from persem_ros.inputs.recording.topics import Choice
     from persem_ros.preflight import contents, contents_text, recorded
-    from persem_ros.preflight.files import part
+    from persem_ros.preflight.files import cut, part
     from persem_ros.preflight.findings import of_severity, REFUSE
     from persem_ros.preflight.look import look, takes_of
     from persem_ros.preflight.stamps import usable
@@ -49,12 +49,13 @@ def run(args: Namespace) -> int | None:
             it, total=total, unit=' messages', leave=False, dynamic_ncols=True,
             disable=not sys.stderr.isatty()))
         choice = Choice(source, config)
-        found, counts = [], []
+        found, counts, excerpt = [], [], excerpt_of(args)
         if not choice.problems:
             sample = recorded.sample(source, choice, config)
+            if excerpt != WHOLE:
+                cut(sample, excerpt)
             found = look(sample)
             counts = [usable(view, sample) for view in sample.views]
-        excerpt = excerpt_of(args)
         if excerpt != WHOLE and not choice.problems and not of_severity(found, REFUSE):
             found.append(part(source, sample.config, excerpt))
         lacking = choice.problems + [f.text() for f in of_severity(found, REFUSE)]

@@ -1,11 +1,50 @@
 """Files: which part of a recording is used, and that there is something in it."""
 
+import sys
+
 from persem_ros.errors import PersemError
 from persem_ros.inputs.recording.excerpt import Excerpt
 from persem_ros.inputs.recording.recording import Recording
 from persem_ros.inputs.recording.source import Source
 from persem_ros.preflight.findings import Finding, NOTE, REFUSE
+from persem_ros.preflight.sample import Sample, View
+from persem_ros.preflight.stamps import paired
 from persem_ros.settings.config import Config
+
+BESIDE = 5_000_000_000      # ns beside the labels of a part, in which their depth is looked for
+ALL = slice(None)
+LOOKED_AT = 2000            # label images among which the first frame is looked for
+
+
+def cut(sample: Sample, excerpt: Excerpt) -> None:
+    """Leave of the stamps of images in *sample* those that the excerpt uses, if there are any."""
+    first = None
+    if excerpt.needs_first:
+        stamps = (_first(view, sample) for view in sample.views)
+        first = min((stamp for stamp in stamps if stamp is not None), default=None)
+    start, end = excerpt.bounds(first)
+    low = -sys.maxsize if start is None else start
+    high = sys.maxsize if end is None else end
+    offset = round(sample.config.sync.offset_labels * 1e9)
+    for view in sample.views:
+        labels = view.stamps['labels'] + offset
+        inside = (labels >= low) & (labels <= high)
+        if not inside.any():        # the reading says so
+            continue
+        kept = {'labels': inside}
+        if 'depth' in view.stamps:
+            depth, used = view.stamps['depth'], labels[inside]
+            kept['depth'] = (depth >= used.min() - BESIDE) & (depth <= used.max() + BESIDE)
+        view.stamps = {role: stamps[kept.get(role, ALL)] for role, stamps in view.stamps.items()}
+        view.times = {role: times[kept.get(role, ALL)] for role, times in view.times.items()}
+
+
+def _first(view: View, sample: Sample) -> int | None:
+    """Return the stamp of a camera's first label image with depth and pose."""
+    for stamp in paired(view, sample)[:LOOKED_AT].tolist():
+        if view.poses.lookup(stamp, view.image_frame).T is not None:
+            return int(stamp)
+    return None
 
 
 def part(source: Source, config: Config, excerpt: Excerpt) -> Finding:

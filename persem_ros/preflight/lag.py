@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
+from persem_ros.preflight.depth import is_cloud_of
 from persem_ros.preflight.findings import Finding, NOTE, REFUSE, Remedy, WARN
 from persem_ros.preflight.sample import Sample, Stamps, View
 
@@ -18,7 +19,7 @@ SAMPLE = 2000           # label images
 def check(sample: Sample) -> Iterator[Finding]:
     """Yield how far labels are from depth where many find none, and the offset that helps."""
     for view in sample.views:
-        yield from _view(view, sample)
+        yield from _cloud(view, sample) if is_cloud_of(view) else _view(view, sample)
 
 
 def distances(labels: Stamps, depth: Stamps) -> NDArray[np.int64]:
@@ -105,6 +106,24 @@ def _view(view: View, sample: Sample) -> Iterator[Finding]:
             f'({tolerance / 1e6:g} ms)')
     yield Finding(severity, *_advice(said, labels, depth, offset, (best, count), possible,
                                      tolerance))
+
+
+def _cloud(view: View, sample: Sample) -> Iterator[Finding]:
+    """Yield that labels are too far from clouds, which have stamps of their own by right."""
+    labels = np.unique(view.stamps['labels']) + round(sample.config.sync.offset_labels * 1e9)
+    if len(labels) < 3 or len(view.stamps['depth']) < 3:
+        return
+    off = np.abs(distances(labels, view.stamps['depth']))
+    tolerance = round(sample.config.sync.tolerance * 1e9)
+    now = int(np.count_nonzero(off <= tolerance))
+    if now >= FINE * min(len(labels), len(view.stamps['depth'])):
+        return
+    wide = float(np.percentile(off, 95)) / 1e9
+    yield Finding(WARN if now >= FEW * len(labels) else REFUSE,
+                  f'{now} of {len(labels)} label images are within sync.tolerance '
+                  f'({tolerance / 1e6:g} ms) of a cloud, most within {1e3 * wide:.0f} ms; points '
+                  'are taken to where the camera was at the stamp of the image',
+                  (Remedy({'sync.tolerance': _up(1.1 * wide)}),))
 
 
 def _constant(off: NDArray[np.int64], depth: Stamps, offset: int) -> Iterator[Finding]:

@@ -12,6 +12,7 @@ from persem_ros.inputs.recording.recording import Recording
 from persem_ros.inputs.recording.source import Source
 from persem_ros.inputs.recording.topics import Choice
 from persem_ros.preflight import depth, frames, labels, lag, poses, recorded, stamps
+from persem_ros.preflight.files import cut
 from persem_ros.preflight.findings import Finding, NOTE, of_severity, REFUSE, WARN
 from persem_ros.preflight.sample import Sample
 from persem_ros.settings import config_file
@@ -86,6 +87,8 @@ def opened(path: str | Path, config: Config, quiet: bool = False,
         choice = Choice(source, config)
         choice.check()
         sample = recorded.sample(source, choice, config)
+        if excerpt != WHOLE:
+            cut(sample, excerpt)
         found = look(sample)
         refused = of_severity(found, REFUSE)
         if refused:

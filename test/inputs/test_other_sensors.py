@@ -2,6 +2,7 @@
 
 import bags
 import numpy as np
+from persem_ros.cli import main
 from persem_ros.core.frame import images
 from persem_ros.core.transforms import inverse, transform
 from persem_ros.errors import PersemError
@@ -144,6 +145,18 @@ def test_a_lidar_gives_the_depth_of_label_images(tmp_path, part):
     assert len(frames) == (6 if part == 0 else 5)       # no pose after the last scan
     frame = frames[0]
     assert frame.depth.shape == frame.labels.shape and np.isnan(frame.depth).any()
+
+
+def test_a_lidar_beside_the_labels_needs_a_tolerance_and_no_offset(tmp_path, capsys):
+    """Scans lie 40 ms behind the labels by right: poses take them back, nothing is shifted."""
+    path = write(tmp_path / 'bag', lambda out, i: out.cloud(
+        'livox/points', bags.stamp(i + 0.4), 'lidar', cloud(scan(i, 0.4))))
+    assert main(['info', str(path), '--set', 'topics.pose=odom']) == 1
+    assert '--set depth.source=cloud --set topics.points=/livox/points' in capsys.readouterr().out
+    settings = {'topics.pose': 'odom', 'depth.source': 'cloud', 'topics.points': 'livox/points'}
+    with pytest.raises(PersemError, match='sync.tolerance=0.04') as refused:
+        opened(path, updated(Config(), settings))
+    assert 'offset_labels' not in str(refused.value)
 
 
 def test_points_behind_a_surface_are_not_labelled_by_it(tmp_path):

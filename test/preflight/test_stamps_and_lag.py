@@ -7,6 +7,7 @@ from hypothesis import given, strategies as st
 import numpy as np
 from persem_ros.cli import main
 from persem_ros.errors import PersemError
+from persem_ros.inputs.recording.excerpt import Excerpt
 from persem_ros.outputs.recording.writer import RecordingWriter
 from persem_ros.preflight.lag import distances, lags
 from persem_ros.preflight.look import opened
@@ -156,3 +157,23 @@ def test_the_printed_command_is_complete(tmp_path, capsys):
     out = capsys.readouterr().out
     assert '20 of 20 label images find depth and pose' in out
     assert f'persem replay {path} --out DIR --set sync.offset_labels=-0.17' in out
+
+
+@pytest.mark.parametrize('start', ['1', f'{bags.stamp(10) / 1e9:.3f}'])
+def test_checks_look_at_the_part_that_is_used(tmp_path, start):
+    """Labels of the first second are late, those behind it are not."""
+    path = written(tmp_path / 'bag', labels=lambda i: bags.stamp(i) + (170 * MS if i < 9 else 0),
+                   n=40)
+    with closing(opened(path, Config(), excerpt=Excerpt(start=start))) as recording:
+        assert len(list(recording.frames())) >= 20
+    assert main(['info', str(path), '--start', start]) == 0
+
+
+def test_what_is_wrong_outside_of_the_part_is_not_said(tmp_path, caplog):
+    path = written(tmp_path / 'bag', n=40,
+                   pose=lambda i: bags.stamp(i - 0.5 if i < 20 else i + 100))
+    opened(path, Config()).close()
+    assert 'of 40 frames have no pose' in caplog.text
+    caplog.clear()
+    opened(path, Config(), excerpt=Excerpt(end='1.5')).close()
+    assert not caplog.text.count('frames have no pose')

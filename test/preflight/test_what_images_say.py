@@ -79,6 +79,21 @@ def test_a_recording_without_camera_infos_says_what_to_give(tmp_path):
         assert len(list(recording.frames())) == 3
 
 
+def test_a_drive_without_labels_says_where_they_may_be(tmp_path):
+    """A depth image in 16 bits might be labels, but not one that is called depth."""
+    with RecordingWriter(tmp_path / 'drive') as out:
+        for i in range(3):
+            out.pose('pose', bags.stamp(i), 'map', bags.pose(i))
+            out.camera_info('camera/depth/camera_info', bags.stamp(i), 'camera', 16, 12, bags.K)
+            out.image('camera/depth/image_rect_raw', bags.stamp(i), 'camera',
+                      (bags.depth(i) * 1000).astype('u2'), '16UC1')
+    with pytest.raises(PersemError) as refused:
+        opened(tmp_path / 'drive', Config())
+    assert 'recorded later: drive+OTHER' in str(refused.value)
+    assert 'topics.labels=/camera/depth' not in str(refused.value)
+    assert '--set topics.depth=/camera/depth/image_rect_raw' in str(refused.value)
+
+
 @pytest.mark.parametrize('factor, refused', [(1000, False), (100000, True)])
 def test_ids_of_instances_are_recognised(tmp_path, caplog, factor, refused):
     def labels(i):

@@ -71,7 +71,9 @@ class Excerpt:
                  if text and stamp is not None]
         if self.every > 1:
             words.append(f'one of {self.every} complete frames of a camera')
-        return f'used are frames {", ".join(words)}' if words else ''
+        if not (self.start or self.end):
+            return f'used is {words[0]}' if words else ''
+        return f'used are frames {", ".join(words)}'
 
     def outside(self, first: int, last: int) -> str:
         """Return the sentence for an excerpt without any label image of *first* to *last*, ns."""

@@ -114,6 +114,8 @@ class Choice:
         known = messages.DEPTH if kind == 'depth' else messages.LABELS
         encodings = self.encodings()
         fitting = [t for t in fitting if _encodes(encodings.get(t.name, ''), kind, known)]
+        if kind != 'depth':     # 16UC1 may be either; nobody calls labels so
+            fitting = [t for t in fitting if 'depth' not in t.name.lower()]
         return sorted(fitting, key=lambda t: ('depth' in t.name.lower()) != (kind == 'depth'))
 
     def encodings(self) -> dict[str, str]:
@@ -154,6 +156,9 @@ class Choice:
                 extra = '--set pose.source=tf'
             elif kind == 'pose' and config.pose.source == 'tf':
                 extra = '--set pose.source=topic'
+            elif kind == 'depth' and config.depth.source == 'image':
+                extra = ' or '.join(f'--set depth.source=cloud --set {prefix}.points={topic.name}'
+                                    for topic in self.candidates('points')[:SHOWN])
             flags = self._flags((kind,), prefix, tuple(chosen.values()), extra)
             self.problems.append(problem + flags)
         self._refuse_twice(chosen, prefix)
@@ -251,8 +256,8 @@ class Choice:
         if flags:
             return f' ({" or ".join(flags)})'
         other = 'other ' if any(map(self.candidates, kinds)) else ''
-        beside = f'; one that was recorded later: {self._source.path.name}+OTHER' \
-            if 'camera_info' in kinds else ''
+        beside = f'; recorded later: {self._source.path.name}+OTHER' \
+            if {'camera_info', 'labels'} & set(kinds) else ''
         return f' (no {other}topic of that kind is there{beside})'
 
 
