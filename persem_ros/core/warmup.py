@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from persem_ros.core.frame.images import placed, points
 from persem_ros.core.frame.observe import observe
@@ -43,10 +45,18 @@ def warm_up() -> None:
     refine(memory, Refine())
     memory.add(seen)
     refine(memory, Refine(), full=False)
+    geometry = replace(Refine(), method='geometry')
+    refine(memory, geometry)
+    memory.add(seen)
+    for _ in range(2):
+        job = begin_next(memory, geometry)
+        finish(job, *job.compute())
+    memory = load(dump(memory))
+    refine(memory, geometry, full=False)
     many = VoxelMemory(memory.voxel_size)           # more classes than the dense form takes
     many.add(observe(seen_points, (np.arange(len(seen_points)) % 80).astype(ids.dtype),
                      frame.T_map_camera, memory.voxel_size))
-    label(many, 'geometry', Refine())
+    refine(many, geometry)
     job = begin_next(memory, Refine(), fresh=True)
     finish(job, *job.compute())
     memory = load(dump(memory))

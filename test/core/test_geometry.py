@@ -8,11 +8,15 @@ from hypothesis import given, strategies as st
 import numpy as np
 from persem_ros.core import jit
 from persem_ros.core.geometry.ground import NONE, TILE, tiles_of, windowed_minimum
+from persem_ros.core.geometry.kept import sound
 from persem_ros.core.geometry.labelling import label_rows
 from persem_ros.core.geometry.method import places_of, relabel
+from persem_ros.core.memory.capture import dump
+from persem_ros.core.memory.dump import load
+from persem_ros.core.memory.evict import keep_near
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine.explain import explain
-from persem_ros.core.refine.job import label, refine
+from persem_ros.core.refine.job import at_rest, begin_next, finish, label, refine
 from persem_ros.core.refine.snapshot import take
 from persem_ros.settings.config import Geometry, Refine
 import pytest
@@ -80,11 +84,16 @@ def flights(draw, ids=None, kinds=KINDS):
 def memory_of(frames, max_history=0):
     """Return the core's memory of frames."""
     memory = VoxelMemory(SIZE, ORIGIN, max_history)
-    for stamp, seen, sensor in frames:
-        T = np.eye(4)
-        T[:3, 3] = sensor
-        memory.add(replace(observations(stamp, seen), T_map_sensor=T))
+    for frame in frames:
+        memory.add(memory_frame(*frame))
     return memory
+
+
+def memory_frame(stamp, seen, sensor):
+    """Return the Observations of a frame."""
+    T = np.eye(4)
+    T[:3, 3] = sensor
+    return replace(observations(stamp, seen), T_map_sensor=T)
 
 
 def histories_of(frames):
@@ -164,6 +173,146 @@ def test_shapes_are_the_references(frames, up):
     column = (upright[:, 0] & 7) * 8 + (upright[:, 1] & 7)
     assert (upright[:, 2] - places.ground.level[places.tile, column] == heights).all()
     assert places.shape.tolist() == [b1 % 12 for b1, _, _ in groups]
+
+
+def assert_as_whole(memory, settings):
+    """Hold a map's labels against those of the whole map by the same parameters."""
+    taken = take(memory)
+    wanted = relabel(memory, taken, settings, memory.geometry)
+    record, belief = memory.m.voxels[taken.number], memory.store.beliefs[taken.number]
+    assert (record['label'] == wanted.labels).all()
+    assert (record['source'] == wanted.sources).all()
+    assert (belief['posterior'] == wanted.posterior).all()
+
+
+def advance(memory, settings):
+    """Refine what is next in turn; return how many voxels were visited."""
+    job = begin_next(memory, settings)
+    return finish(job, *job.compute())
+
+
+@given(flights(), SETTINGS, UPS, st.sampled_from([0, 0, 2]), st.integers(0, 11))
+@examples(max_examples=60)
+def test_an_increment_equals_the_whole_by_the_same_parameters(frames, constants, up, bound, cut):
+    settings = replace(GEOMETRY, up=up, geometry=constants)
+    memory = memory_of(frames[:cut], bound)
+    refine(memory, settings)
+    for stamp, seen, sensor in frames[cut:]:
+        memory.add(memory_frame(stamp, seen, sensor))
+        before = memory.geometry
+        refine(memory, settings, full=False)
+        if memory.geometry is not None and memory.n_voxels:
+            assert_as_whole(memory, settings)
+            known = before is not None and not {
+                c for c, _ in seen.values()} - set(before.classes.tolist())
+            assert memory.geometry is before or not known
+
+
+def narrow_flight(n_frames=7):
+    """Return frames of a strip that goes on over big_flight()'s ground, and digs a pit late."""
+    frames = []
+    for stamp, seen, sensor in big_flight(5, n_frames=n_frames):
+        seen = {v: o for v, o in seen.items() if 0 <= v[0] + 20 - 7 * stamp < 16}
+        if stamp == n_frames - 1:
+            seen[7 * stamp - 18, 0, -9] = (1, 1.0)
+        frames.append((stamp, seen, sensor))
+    return frames
+
+
+@pytest.mark.parametrize('up', ['z', '-z', 'x', '-y'])
+def test_increments_of_a_large_map(up):
+    settings = replace(GEOMETRY, up=up, geometry=Geometry(window=9, cell=16))
+    frames = narrow_flight()
+    memory = memory_of(frames[:3])
+    refine(memory, settings)
+    parameters = memory.geometry
+    for frame in frames[3:]:
+        memory.add(memory_frame(*frame))
+        visited = refine(memory, settings, full=False)
+        assert memory.geometry is parameters and 0 < visited < memory.n_voxels
+        assert_as_whole(memory, settings)
+    assert refine(memory, settings, full=False) == 0
+    assert keep_near(memory, (0.0, -20.0, 7.5), radius=12.0) > 0
+    for frame in frames[-2:]:
+        refine(memory, settings, full=False)
+        assert_as_whole(memory, settings)
+        memory.add(memory_frame(*frame))
+
+
+@pytest.mark.parametrize('form', ['dense', 'sparse'])
+def test_sweeps_estimate_the_parameters_anew(form, monkeypatch):
+    if form == 'sparse':
+        monkeypatch.setattr('persem_ros.core.geometry.method.MOST_DENSE', 0)
+    settings = replace(GEOMETRY, sweep=300, geometry=Geometry(cell=16))
+    frames = narrow_flight()
+    memory = memory_of(frames[:2])
+    advance(memory, settings)
+    first = memory.geometry
+    for frame in frames[2:]:
+        memory.add(memory_frame(*frame))
+        advance(memory, settings)
+    for _ in range(60):
+        if at_rest(memory, settings):
+            break
+        advance(memory, settings)
+    assert at_rest(memory, settings) and advance(memory, settings) == 0
+    assert (memory.geometry.pi != first.pi).any()
+    assert_as_whole(memory, settings)
+    memory.rho_of = -1          # as if something had been seen: one sweep more, one round
+    advance(memory, settings)
+    while not memory.sweep.ended:
+        advance(memory, settings)
+    taken = take(memory)
+    whole = relabel(memory, replace(taken, swept=taken.refined), settings, memory.geometry)
+    assert memory.tally.voxels == memory.n_voxels
+    assert (memory.tally.sums.mass == whole.sums.mass).all()
+    assert memory.tally.sums.agreement == whole.sums.agreement
+    refine(memory, settings)
+    straight = memory_of(frames)
+    refine(straight, settings)
+    assert straight.geometry.pi.tolist() == memory.geometry.pi.tolist()
+    assert (straight.voxels()['confidence'] == memory.voxels()['confidence']).all()
+
+
+@pytest.mark.parametrize('form', ['dense', 'sparse'])
+def test_parameters_outlive_a_dump(form, monkeypatch):
+    if form == 'sparse':
+        monkeypatch.setattr('persem_ros.core.geometry.method.MOST_DENSE', 0)
+    frames = narrow_flight()
+    memory = memory_of(frames[:3])
+    refine(memory, GEOMETRY)
+    saved = dump(memory)
+    assert sound(saved.habits)
+    again = load(saved)
+    assert {k: a.tolist() for k, a in dump(again).habits.items()} == {
+        k: a.tolist() for k, a in saved.habits.items()}
+    for one in (memory, again):
+        one.add(memory_frame(*frames[3]))
+        refine(one, GEOMETRY, full=False)
+    assert again.geometry.rho == memory.geometry.rho
+    assert again.voxels()['confidence'].tobytes() == memory.voxels()['confidence'].tobytes()
+    for name in saved.habits:
+        assert not sound({k: a for k, a in saved.habits.items() if k != name})
+        assert not sound({**saved.habits, name: saved.habits[name].astype('c16')})
+
+
+def test_voxels_that_moved_away_are_no_part_of_the_world():
+    frames = [(t, {v: o for v, o in seen.items() if v[2] < -1}, sensor)
+              for t, seen, sensor in big_flight(6, side=20)]
+    towers = [(t, {v: o for v, o in seen.items() if v[2] >= -1}, sensor)
+              for t, seen, sensor in big_flight(6, side=20)]
+    memory = memory_of([(t, {**a, **b}, s) for (t, a, s), (_, b, _) in zip(frames, towers)])
+    refine(memory, GEOMETRY)
+    gone = memory.find(np.array(sorted({v for _, seen, _ in towers for v in seen}), np.int32))
+    memory.m.voxels['gone'][gone] = 1
+    memory.n_gone = len(gone)
+    without = memory_of(frames)
+    for one in (memory, without):
+        refine(one, GEOMETRY)
+    ours, theirs = memory.voxels(), without.voxels()
+    left = ~np.isin(ours['number'], gone)
+    assert (ours['voxel'][left] == theirs['voxel']).all() and len(gone)
+    assert (ours['confidence'][left] == theirs['confidence']).all()
 
 
 def big_flight(seed=0, side=60, classes=5, n_frames=12):

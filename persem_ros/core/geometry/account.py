@@ -42,7 +42,8 @@ def account(memory: Any, taken: Any, number: int, settings: Any,
 
     """
     constants = settings.geometry
-    votes = take_votes(memory, taken, constants.directions)
+    votes = take_votes(memory, taken, constants.directions,
+                       known=None if parameters is None else parameters.classes)
     places = places_of(memory, taken, settings)
     cells = cells_of(places, constants.cell) if parameters is None else parameters.cells
     groups = groups_in(places, cells, constants.cell)
@@ -61,8 +62,8 @@ def account(memory: Any, taken: Any, number: int, settings: Any,
     best = int(np.flatnonzero(Q.max() - Q <= 1e-9)[0])
     named = _by_class(votes.classes)
     return {
-        'votes': dict(zip(votes.classes[votes.place[voted]].tolist(),
-                          votes.share[voted].tolist())),
+        'votes': {int(votes.classes[z]): float(share) for z, share in zip(
+            votes.place[voted], votes.share[voted]) if z >= 0},
         'looks': float(votes.total[row]),
         'independent': float(looks(votes.total[row], parameters.rho)),
         'height': int(groups.height[row]), 'tilt': int(places.shape[row]) // LEVELS,

@@ -8,16 +8,18 @@ exponentials, all in the order that section 12 gives.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Optional
 
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.geometry.groups import Cells, Groups, KINDS, SHAPES
 from persem_ros.core.geometry.parameters import estimate, Parameters, Sums, TERM
+from persem_ros.core.geometry.softmax import MAGIC, MAGIC_BITS, softmax
 from persem_ros.core.geometry.votes import Votes
-from persem_ros.core.jit import kernel, split
-from persem_ros.core.memory.blocks import step
+from persem_ros.core.jit import inlined, kernel, split
+from persem_ros.core.memory.pools import SIDE
 
+WIDE = SIDE + 2     # a block with a cell more on every side
 FAINT = 1e-4        # a Q of this and less adds nothing to sums, but for pi's
 
 
@@ -76,11 +78,13 @@ class Dense:
             votes.total, rho, groups.fine, groups.coarse, groups.shifted, len(votes.classes),
             *self._sizes))
 
-    def round(self, parameters: Parameters) -> Sums:    # noqa: A003
-        """Return the sums of one round without neighbours: Q of every voxel, counted at once."""
+    def round(self, parameters: Parameters,    # noqa: A003
+              rows: Optional[int] = None) -> Sums:
+        """Return the sums of a round without neighbours over all rows, or so many of the first."""
         votes, groups = self.votes, self.groups
         return _summed(split(
-            count_posteriors, len(votes.count), votes.start, votes.count, votes.place,
+            count_posteriors, len(votes.count) if rows is None else rows, votes.start,
+            votes.count, votes.place,
             votes.share, votes.total, votes.agreement, groups.fine, groups.coarse,
             groups.shifted, *tables_of(parameters, self.settings), *self._sizes))
 
@@ -180,39 +184,49 @@ def count_posteriors(begin, end, start, count, place, share, total, agreement, f
     R1, R2, R3 = np.zeros((n_fine, K), np.int64), np.zeros((n_coarse, K), np.int64), \
         np.zeros((n_shifted, K), np.int64)
     alike, agreed = np.zeros(K, np.int64), np.int64(0)
-    Q = np.empty(K)
+    Q, scratch = np.empty(K), np.empty(K)
+    bits = scratch.view(np.int64)
     for r in range(begin, end):
         n = total[r] / (1.0 + rho * max(total[r] - 1.0, 0.0))
         a, b = start[r], start[r] + count[r]
-        Q[:] = 0.0
-        for e in range(a, b):
-            p, row = share[e], log_theta[place[e]]
-            for z in range(K):
-                Q[z] += p * row[z]
-        one, two, three = log_fine[fine[r]], log_coarse[coarse[r]], log_shifted[shifted[r]]
-        most = -np.inf
+        say(a, b, n, place, share, log_pi, log_theta, log_fine[fine[r]], log_coarse[coarse[r]],
+            log_shifted[shifted[r]], weight, Q)
+        softmax(Q, scratch, bits)
         for z in range(K):
-            Q[z] = log_pi[z] + n * Q[z] + weight * (one[z] + two[z] + three[z])
-            most = max(most, Q[z])
-        whole = 0.0
+            scratch[z] = Q[z] * TERM + MAGIC
         for z in range(K):
-            Q[z] = np.exp(Q[z] - most)
-            whole += Q[z]
+            mass[z] += bits[z] - MAGIC_BITS
+        one, two, three = R1[fine[r]], R2[coarse[r]], R3[shifted[r]]
         for z in range(K):
-            q = Q[z] / whole
-            term = np.int64(np.rint(q * TERM))
-            mass[z] += term
+            q = Q[z]
             if q <= FAINT:
                 continue
             for e in range(a, b):
-                C[z, place[e]] += np.int64(np.rint(q * n * share[e] * TERM))
-            R1[fine[r], z] += term
-            R2[coarse[r], z] += term
-            R3[shifted[r], z] += term
+                if place[e] >= 0:
+                    C[z, place[e]] += np.int64(np.rint(q * n * share[e] * TERM))
+            term = bits[z] - MAGIC_BITS
+            one[z] += term
+            two[z] += term
+            three[z] += term
             if agreement[r] >= 0.0:
                 alike[z] += term
                 agreed += np.int64(np.rint(q * agreement[r] * TERM))
     return C, mass, R1, R2, R3, alike, agreed
+
+
+@inlined
+def say(a, b, n, place, share, log_pi, log_theta, one, two, three, weight, Q):
+    """Write what votes a .. b and the groups of a voxel say of each class, unnormalised logs."""
+    K = len(Q)
+    Q[:] = 0.0
+    for e in range(a, b):
+        if place[e] < 0:        # a class that the parameters do not know
+            continue
+        p, of = share[e], log_theta[place[e]]
+        for z in range(K):
+            Q[z] += p * of[z]
+    for z in range(K):
+        Q[z] = log_pi[z] + n * Q[z] + weight * (one[z] + two[z] + three[z])
 
 
 @kernel
@@ -227,46 +241,59 @@ def score(begin, end, wanted, start, count, place, share, total, fine, coarse, s
 
     """
     K = len(log_pi)
+    scratch, mean = np.empty(K), np.empty(K)
+    bits = scratch.view(np.int64)
+    near, here = np.zeros((WIDE, WIDE, WIDE), np.int32), np.int64(-1)
     for w in range(begin, end):
         r = wanted[w]
         n = total[r] / (1.0 + rho * max(total[r] - 1.0, 0.0))
         Q = after[where[r]]
-        Q[:] = 0.0
-        for e in range(start[r], start[r] + count[r]):
-            if place[e] < 0:        # a class that the parameters do not know
-                continue
-            p, of = share[e], log_theta[place[e]]
-            for z in range(K):
-                Q[z] += p * of[z]
-        one, two, three = log_fine[fine[r]], log_coarse[coarse[r]], log_shifted[shifted[r]]
-        for z in range(K):
-            Q[z] = log_pi[z] + n * Q[z] + weight * (one[z] + two[z] + three[z])
+        say(start[r], start[r] + count[r], n, place, share, log_pi, log_theta,
+            log_fine[fine[r]], log_coarse[coarse[r]], log_shifted[shifted[r]], weight, Q)
         if smoothing != 0.0:
-            mean, around = np.zeros(K), 0
-            here = blocks[block[r]]
-            for d in range(27):
-                other, at = step(here, cell[r], d)
-                if d == 13 or other == 0:
-                    continue
-                v = np.int64(blocks[other - 1].cells[at])
-                if v == 0 or v > len(row) or row[v - 1] == 0:
-                    continue
-                around += 1
-                theirs = before[where[np.int64(row[v - 1]) - 1]]
-                for z in range(K):
-                    mean[z] += theirs[z]
+            if block[r] != here:
+                here = block[r]
+                places_around(blocks, here, row, where, near)
+            x, y, z = cell[r] >> 6, cell[r] >> 3 & 7, cell[r] & 7
+            mean[:] = 0.0
+            around = 0
+            for dx in range(3):
+                for dy in range(3):
+                    for dz in range(3):
+                        place_of = np.int64(near[x + dx, y + dy, z + dz])
+                        if place_of == 0 or dx + dy + dz == 3 and dx == 1 and dy == 1:
+                            continue
+                        around += 1
+                        theirs = before[place_of - 1]
+                        for c in range(K):
+                            mean[c] += theirs[c]
             if around > 0:
-                for z in range(K):
-                    Q[z] += smoothing * (mean[z] / around)
-        most = -np.inf
-        for z in range(K):
-            most = max(most, Q[z])
-        whole = 0.0
-        for z in range(K):
-            Q[z] = np.exp(Q[z] - most)
-            whole += Q[z]
-        for z in range(K):
-            Q[z] /= whole
+                for c in range(K):
+                    Q[c] += smoothing * (mean[c] / around)
+        softmax(Q, scratch, bits)
+
+
+@inlined
+def places_around(blocks, b, row, where, near):
+    """Write where[row] + 1 of a block's voxels and of those around it; 0: none."""
+    for x in range(WIDE):
+        for y in range(WIDE):
+            column = (((x + 7) >> 3) * 3 + ((y + 7) >> 3)) * 3
+            at = (((x + 7) & 7) * SIDE + ((y + 7) & 7)) * SIDE
+            for part in range(3):
+                first, last = (0, 1) if part == 0 else (1, 9) if part == 1 else (9, 10)
+                other = np.int64(blocks[b].near[column + part])
+                if other == 0:
+                    for z in range(first, last):
+                        near[x, y, z] = 0
+                    continue
+                cells = blocks[other - 1].cells
+                for z in range(first, last):
+                    v = np.int64(cells[at + ((z + 7) & 7)])
+                    found = np.int64(0)
+                    if 0 < v <= len(row) and row[v - 1] > 0:
+                        found = np.int64(where[np.int64(row[v - 1]) - 1]) + 1
+                    near[x, y, z] = found
 
 
 @kernel

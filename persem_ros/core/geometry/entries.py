@@ -27,6 +27,13 @@ def entries_of(keys: NDArray[np.int64], values: NDArray[np.float64]) -> Entries:
     return found
 
 
+def listed(entries: Entries) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return the sorted keys of Entries, and their values."""
+    used = entries.keys != FREE
+    order = np.argsort(entries.keys[used])
+    return entries.keys[used][order], entries.values[used][order]
+
+
 def merged(parts: list[tuple[NDArray[np.int64], NDArray[np.int64]]],
            ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the sorted keys of several tables of sums, and the sums of their values."""

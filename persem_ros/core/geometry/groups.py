@@ -66,6 +66,21 @@ def make_cells(ground: Ground, offset: int, cell: int) -> Cells:
     return Cells(table, number_cells(ground.tiles, ground.lowest, offset, cell, table))
 
 
+def cells_listed(cells: Cells) -> NDArray[np.int32]:
+    """Return the cells (n, 2), int32, by number."""
+    entries = cells.table[cells.table[:, 2] > 0]
+    found = np.empty((cells.number, 2), np.int32)
+    found[entries[:, 2] - 1] = entries[:, :2]
+    return found
+
+
+def cells_from(listed: NDArray[np.int32]) -> Cells:
+    """Return the Cells that cells_listed() gave, distinct ones."""
+    table = np.zeros((1 << int(2 * len(listed) + 2).bit_length(), 3), np.int64)
+    enter_cells(listed, table)
+    return Cells(table, len(listed))
+
+
 def groups_of(index: NDArray[np.int32], tile: NDArray[np.int64], shape: NDArray[np.uint8],
               ground: Ground, cells: tuple[Cells, Cells], cell: int) -> Groups:
     """
@@ -122,6 +137,18 @@ def number_cells(tiles, lowest, offset, cell, table):
                 n += 1
                 table[place, 0], table[place, 1], table[place, 2] = i, j, n
     return n
+
+
+@kernel
+def enter_cells(listed, table):
+    """Enter cells (n, 2) by their numbers."""
+    mask = np.uint64(len(table) - 1)
+    for n in range(len(listed)):
+        i, j = np.int64(listed[n, 0]), np.int64(listed[n, 1])
+        place = hash3(i, j, 0) & mask
+        while table[place, 2] != 0:
+            place = (place + np.uint64(1)) & mask
+        table[place, 0], table[place, 1], table[place, 2] = i, j, n + 1
 
 
 @kernel

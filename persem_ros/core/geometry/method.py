@@ -11,10 +11,10 @@ from persem_ros.core.geometry.dense import Dense
 from persem_ros.core.geometry.ground import Ground, ground_of, lower, NONE, TILE, tiles_of
 from persem_ros.core.geometry.groups import Cells, Groups, groups_of, make_cells
 from persem_ros.core.geometry.labelling import label_rows
-from persem_ros.core.geometry.parameters import Parameters
+from persem_ros.core.geometry.parameters import Parameters, Sums
 from persem_ros.core.geometry.schedule import fit
 from persem_ros.core.geometry.shape import occupy, shapes_of
-from persem_ros.core.geometry.sparse import Sparse, SparseParameters
+from persem_ros.core.geometry.sparse import Sparse, SparseParameters, SparseSums
 from persem_ros.core.geometry.upright import up_of, upright
 from persem_ros.core.geometry.votes import take_votes, Votes
 from persem_ros.core.memory.pools import ROWS
@@ -30,6 +30,7 @@ class Labelled(NamedTuple):
     sources: NDArray[np.uint8]
     posterior: NDArray[np.float32]
     parameters: Optional[Union[Parameters, SparseParameters]]
+    sums: Optional[Union[Sums, SparseSums]] = None      # of the rows that a sweep had reached
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +64,8 @@ def relabel(memory: Any, taken: Any, settings: Any,
     Parameters
     ----------
     memory : core.memory.voxel_memory.VoxelMemory
-        The map; histories are read, nothing is written.
+        The map; histories are read. Nothing is written but what is kept for the next time, and
+        that only where the snapshot was taken with a relief.
     taken : core.refine.snapshot.Snapshot
         The whole map, or with *parameters* a part with two rings around what is to be refined.
     settings : persem_ros.settings.config.Refine
@@ -75,19 +77,19 @@ def relabel(memory: Any, taken: Any, settings: Any,
     constants = settings.geometry
     if not len(taken.number):
         return Labelled(*(np.zeros(0, t) for t in ('u2', 'u1', 'f4')), parameters)
-    votes = take_votes(memory, taken, constants.directions)
-    if parameters is not None and not np.array_equal(parameters.classes, votes.classes):
-        parameters = None       # a class came or went: what was fitted numbers them otherwise
+    votes = take_votes(memory, taken, constants.directions, taken.relief is not None,
+                       None if parameters is None else parameters.classes)
     places = places_of(memory, taken, settings)
     cells = cells_of(places, constants.cell) if parameters is None else parameters.cells
     model = model_of(memory.m.blocks, taken, votes, groups_in(places, cells, constants.cell),
                      cells, constants)
     if parameters is None:
         parameters = fit(model, constants.rounds)
+    sums = model.round(parameters, taken.swept) if taken.swept else None
     best, posterior = label_rows(model, parameters)
     labels = votes.classes[best]
     sources = np.where(labels != taken.majority[:taken.refined], GEOMETRY, 0).astype(np.uint8)
-    return Labelled(labels, sources, posterior, parameters)
+    return Labelled(labels, sources, posterior, parameters, sums)
 
 
 def model_of(blocks: Any, taken: Any, votes: Votes, groups: Groups, cells: tuple[Cells, Cells],
@@ -99,16 +101,27 @@ def model_of(blocks: Any, taken: Any, votes: Votes, groups: Groups, cells: tuple
 
 def cells_of(places: Places, cell: int) -> tuple[Cells, Cells]:
     """Return the cells of a map, and those shifted by half of one."""
-    return make_cells(places.ground, 0, cell), make_cells(places.ground, cell // 2, cell)
+    return cells_at(places.ground, cell)
+
+
+def cells_at(ground: Ground, cell: int) -> tuple[Cells, Cells]:
+    """Return the cells over a ground, and those shifted by half of one."""
+    return make_cells(ground, 0, cell), make_cells(ground, cell // 2, cell)
 
 
 def places_of(memory: Any, taken: Any, settings: Any) -> Places:
-    """Return where the voxels of a snapshot of the whole map lie."""
-    up, blocks = up_of(settings.up), memory.m.blocks
+    """Return where the voxels of a snapshot lie: of the whole map, or of one with a relief."""
+    up, blocks, relief = up_of(settings.up), memory.m.blocks, taken.relief
+    index = upright(taken.index, up)
+    if relief is not None:
+        rows, kept = taken.reshaped, memory.store.beliefs['shape']
+        if len(rows):
+            kept[taken.number[rows]] = shapes_of(blocks, relief.bits, taken.block[rows],
+                                                 taken.cell[rows], up.k)
+        return Places(index, relief.tile[taken.block], kept[taken.number], relief.ground)
     first = np.flatnonzero(np.diff(taken.block, prepend=-1))        # voxels come block by block
     tiles, tile = tiles_of(upright(blocks['index'][taken.block[first]], up))
     tile = np.repeat(tile, np.diff(np.append(first, len(taken.block))))
-    index = upright(taken.index, up)
     lowest = np.full((len(tiles), TILE), NONE, np.int32)
     lower(index, tile, lowest)
     ground = ground_of(tiles, lowest, settings.geometry.window)

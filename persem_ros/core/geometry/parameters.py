@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.geometry.groups import Cells
+from persem_ros.core.geometry.groups import Cells, cells_listed
 
 TERM = 2.0 ** 30        # terms of sums are multiples of 1 / TERM: their order is of no account
 FIRST_RHO = 0.4
@@ -86,6 +86,11 @@ class Parameters:
     groups: list[NDArray[np.float64]]
     rho: float
 
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return everything as plain arrays, by name; core.geometry.kept reads them."""
+        return {**common_arrays(self), 'theta': self.theta,
+                **dict(zip(('fine', 'coarse', 'shifted'), self.groups))}
+
     def looks_like(self, z: int, c: int) -> float:
         """Return theta(z, c) of places of classes."""
         return float(self.theta[z, c])
@@ -99,6 +104,13 @@ class Parameters:
         """Return P_k(z|b), shape (number of groups, K), for k = 0, 1, 2."""
         counted = self.groups[k]
         return (counted + prior * self.pi) / (counted.sum(axis=1)[:, None] + prior)
+
+
+def common_arrays(parameters: Any) -> dict[str, NDArray[Any]]:
+    """Return what both forms of parameters have, as plain arrays."""
+    return {'classes': parameters.classes, 'pi': parameters.pi, 'rho': np.array([parameters.rho]),
+            'cells': cells_listed(parameters.cells[0]),
+            'shifted_cells': cells_listed(parameters.cells[1])}
 
 
 def estimate(sums: Sums, n: int, classes: NDArray[np.uint16], cells: tuple[Cells, Cells],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.jit import inlined, kernel, split
+from persem_ros.core.memory.blocks import hash3
 from persem_ros.core.memory.evidence import TIE
 from persem_ros.core.memory.pools import SIDE
 
@@ -14,6 +15,7 @@ LEVELS = 3                  # of roughness
 NO_TILT = 3                 # the fourth tilt: there is no normal
 FEWEST = 4                  # occupied voxels that make a shape
 RADIUS = 2
+KNOWN = 1 << 13             # surroundings remembered
 WIDE = SIDE + 2 * RADIUS
 
 
@@ -57,12 +59,19 @@ def describe(begin, end, blocks, occupied, block, cell, axis, shape):
                 number[bits] += 1
                 first[bits] += z - RADIUS
                 second[bits] += (z - RADIUS) * (z - RADIUS)
+    # Surroundings repeat: what came of the last ones with the same hash is at hand.
+    known, result = np.zeros((KNOWN, 2), np.int64), np.zeros(KNOWN, np.uint8)
     here = np.int64(-1)
     for r in range(begin, end):
         if block[r] != here:
             here = block[r]
             surround(blocks[here], occupied, around)
         x, y, z = cell[r] >> 6, cell[r] >> 3 & 7, cell[r] & 7
+        low, high = pattern(around, x, y, z)
+        place = hash3(low, high, 0) & np.uint64(KNOWN - 1)
+        if known[place, 0] == low and known[place, 1] == high:
+            shape[r] = result[place]
+            continue
         n, sx, sy, sz = 0, 0, 0, 0
         xx, yy, zz, xy, xz, yz = 0, 0, 0, 0, 0, 0
         for dx in range(-RADIUS, RADIUS + 1):
@@ -79,15 +88,28 @@ def describe(begin, end, blocks, occupied, block, cell, axis, shape):
                 xy += dx * dy * m
                 xz += dx * s
                 yz += dy * s
+        known[place, 0], known[place, 1] = low, high
         if n < FEWEST:
-            shape[r] = NO_TILT * LEVELS
+            shape[r] = result[place] = NO_TILT * LEVELS
             continue
         # n^2 times the covariance: whole numbers, so that only what follows is rounded.
         tilt, roughness = tilt_and_roughness(
             np.float64(n * xx - sx * sx), np.float64(n * yy - sy * sy),
             np.float64(n * zz - sz * sz), np.float64(n * xy - sx * sy),
             np.float64(n * xz - sx * sz), np.float64(n * yz - sy * sz), axis)
-        shape[r] = tilt * LEVELS + roughness
+        shape[r] = result[place] = tilt * LEVELS + roughness
+
+
+@inlined
+def pattern(around, x, y, z):
+    """Return which of the 5 x 5 x 5 cells are occupied, 125 bits in two numbers, never 0."""
+    low, high = np.int64(0), np.int64(0)
+    for line in range(12):
+        low = low << 5 | (around[x + line // 5, y + line % 5] >> z & 31)
+    for line in range(12, 24):
+        high = high << 5 | (around[x + line // 5, y + line % 5] >> z & 31)
+    last = around[x + 4, y + 4] >> z & 31
+    return low | (last & 7) << 60, high | (last >> 3) << 60
 
 
 @inlined

@@ -9,22 +9,22 @@ shape are most often. Every other class has Q = 0.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Optional
 
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.geometry.candidates import gather, LIKELY, list_candidates, near_classes
 from persem_ros.core.geometry.dense import FAINT
 from persem_ros.core.geometry.entries import (
-    count_in, Entries, entries_of, FEW, FREE, merged, value_of, wider)
+    count_in, Entries, entries_of, FEW, FREE, listed as as_listed, merged, value_of, wider)
 from persem_ros.core.geometry.groups import Cells, Groups, KINDS, SHAPES
-from persem_ros.core.geometry.parameters import OWN, TERM
+from persem_ros.core.geometry.parameters import common_arrays, OWN, TERM
 from persem_ros.core.geometry.votes import Votes
 from persem_ros.core.jit import kernel, split
 from persem_ros.core.memory.blocks import step
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class SparseSums:
     """
     What core.geometry.parameters.Sums holds, in units of 2^-30, with what occurs of it.
@@ -46,6 +46,13 @@ class SparseSums:
     shifted: tuple[NDArray[np.int64], NDArray[np.int64]]
     share: NDArray[np.int64]
     agreement: int
+
+    def add(self, other: SparseSums) -> None:
+        """Add the sums of another slice."""
+        for name in ('confusion', 'coarse', 'shifted'):
+            setattr(self, name, merged([getattr(self, name), getattr(other, name)]))
+        for name in ('mass', 'fine', 'share', 'agreement'):
+            setattr(self, name, getattr(self, name) + getattr(other, name))
 
     def rows(self) -> NDArray[np.float64]:
         """Return the sum of C(z, c) over c, (K,)."""
@@ -94,6 +101,16 @@ class SparseParameters:
     fine: NDArray[np.float64]
     groups: tuple[Entries, Entries]
     totals: tuple[NDArray[np.float64], NDArray[np.float64]]
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return everything as plain arrays, by name; core.geometry.kept reads them."""
+        found = common_arrays(self)
+        for name, entries in (('confusion', self.confusion), ('coarse', self.groups[0]),
+                              ('shifted', self.groups[1])):
+            found[f'{name}_keys'], found[f'{name}_values'] = as_listed(entries)
+        return {**found, 'rows': self.rows, 'f': self.f, 'a': np.array([self.a]),
+                'fine': self.fine, 'coarse_totals': self.totals[0],
+                'shifted_totals': self.totals[1]}
 
     def looks_like(self, z: int, c: int) -> float:
         """Return theta(z, c) of places of classes."""
@@ -160,30 +177,20 @@ class Sparse:
             votes.total, rho, groups.fine, groups.coarse, groups.shifted, len(votes.classes),
             SHAPES))
 
-    def round(self, parameters: SparseParameters) -> SparseSums:    # noqa: A003
-        """Return the sums of one round without neighbours: Q of every voxel, counted at once."""
+    def round(self, parameters: SparseParameters,    # noqa: A003
+              rows: Optional[int] = None) -> SparseSums:
+        """Return the sums of a round without neighbours over all rows, or so many of the first."""
         votes, groups = self.votes, self.groups
         return _summed(split(
-            count_posteriors, len(votes.count), votes.start, votes.count, votes.place,
+            count_posteriors, len(votes.count) if rows is None else rows, votes.start,
+            votes.count, votes.place,
             votes.share, votes.total, votes.agreement, groups.fine, groups.coarse,
             groups.shifted, *self.near, self._likely(parameters), *self._tables(parameters)))
 
     def estimate(self, sums: SparseSums, rho: float) -> SparseParameters:
         """Return the parameters that follow from sums."""
-        K, rows = len(sums.mass), sums.rows()
-        keys, values = sums.confusion
-        total = rows.sum()
-        pi = sums.mass / TERM / len(self.votes.count) + 1e-9
-        groups, totals = [], []
-        for counted, known in zip((sums.coarse, sums.shifted), self.cells):
-            groups.append(entries_of(counted[0], counted[1] / TERM))
-            totals.append(np.bincount(counted[0] // K, counted[1] / TERM,
-                                      known.number * KINDS + 1))
-        return SparseParameters(
-            self.votes.classes, self.cells, pi / pi.sum(), rho,
-            entries_of(keys, values / TERM), rows,
-            np.bincount(keys % K, values / TERM, K) / total, self.settings.shrink * total / K,
-            sums.fine / TERM, tuple(groups), tuple(totals))
+        return estimate_sparse(sums, len(self.votes.count), self.votes.classes, self.cells, rho,
+                               self.settings.shrink)
 
     def label(self, parameters: SparseParameters, wanted: list[NDArray[np.int64]],
               best: NDArray[np.int64], confidence: NDArray[np.float32]) -> None:
@@ -251,6 +258,23 @@ class Sparse:
                      np.log(prior / (total + prior))]
         return SparseTables(np.log(pi), np.log(fine / pi), keys, np.log(theta + 1e-6),
                             known.rows, known.f, known.a, *logs, known.rho, self.settings.weight)
+
+
+def estimate_sparse(sums: SparseSums, n: int, classes: NDArray[np.uint16],
+                    cells: tuple[Cells, Cells], rho: float, shrink: float) -> SparseParameters:
+    """Return the SparseParameters that follow from the sums over n voxels (section 12.4)."""
+    K, rows = len(sums.mass), sums.rows()
+    keys, values = sums.confusion
+    total = rows.sum()
+    pi = sums.mass / TERM / n + 1e-9
+    groups, totals = [], []
+    for counted, known in zip((sums.coarse, sums.shifted), cells):
+        groups.append(entries_of(counted[0], counted[1] / TERM))
+        totals.append(np.bincount(counted[0] // K, counted[1] / TERM, known.number * KINDS + 1))
+    return SparseParameters(
+        classes, cells, pi / pi.sum(), rho, entries_of(keys, values / TERM), rows,
+        np.bincount(keys % K, values / TERM, K) / total, shrink * total / K, sums.fine / TERM,
+        (groups[0], groups[1]), (totals[0], totals[1]))
 
 
 def _summed(parts: list[Any]) -> SparseSums:
@@ -335,6 +359,8 @@ def count_posteriors(begin, end, start, count, place, share, total, agreement, f
             if q <= FAINT:
                 continue
             for e in range(start[r], start[r] + count[r]):
+                if place[e] < 0:
+                    continue
                 n_C += count_in(C_keys, C, z * K + place[e],
                                 np.int64(np.rint(q * n * share[e] * TERM)))
                 if 2 * n_C > len(C):

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Optional
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.jit import kernel, split
+from persem_ros.core.jit import inlined, kernel, split
 from persem_ros.core.memory.history import link_of, oldest
 from persem_ros.core.memory.pools import CHUNK
 
@@ -48,7 +48,8 @@ class Votes:
     agreement: NDArray[np.float64]
 
 
-def take_votes(memory: Any, taken: Any, directions: int) -> Votes:
+def take_votes(memory: Any, taken: Any, directions: int, keep: bool = False,
+               known: Optional[NDArray[np.uint16]] = None) -> Votes:
     """
     Return the votes of the voxels of a snapshot.
 
@@ -60,29 +61,40 @@ def take_votes(memory: Any, taken: Any, directions: int) -> Votes:
         Which voxels, and how long their histories are.
     directions : int
         Bins along half an axis; 0: every observation is a vote of its own.
+    keep : bool
+        Take what memory.store.voted holds of voxels that were not observed since, and leave
+        there what was counted: for one refinement at a time.
+    known : ndarray, uint16, optional
+        The classes to number by; place is -1 for votes for others. None: all that occur.
 
     """
-    n = len(taken.number)
+    n, voted = len(taken.number), memory.store.voted
+    if keep and memory.voted_by != directions:
+        voted['n'][:memory.n_numbers] = 0
+        memory.voted_by = directions
     ids, share = np.zeros(len(taken.classes), np.uint16), np.zeros(len(taken.classes))
     count, seen = np.zeros(n, np.int32), np.zeros(65536, np.uint8)
     total, agreement = np.zeros(n), np.zeros(n)
-    split(count_votes, n, memory.m.links, taken.index, taken.start, taken.observations,
-          taken.first, taken.head, taken.placed, np.array(memory.origin), memory.voxel_size,
-          int(directions), memory.max_history, ids, share, count, total, agreement, seen)
-    classes = np.flatnonzero(seen).astype(np.uint16)
-    place_of = np.zeros(65536, np.int32)
+    from_where = np.ascontiguousarray(taken.placed[:, :3, 3]).reshape(-1, 3)
+    split(count_votes, n, memory.m.links, taken.number, taken.index, taken.start,
+          taken.observations, taken.first, taken.head, from_where, np.array(memory.origin),
+          memory.voxel_size, int(directions), memory.max_history, voted, keep, ids, share, count,
+          total, agreement, seen)
+    classes = np.flatnonzero(seen).astype(np.uint16) if known is None else known
+    place_of = np.full(65536, -1, np.int32)
     place_of[classes] = np.arange(len(classes))
     return Votes(classes, taken.start, count, place_of[ids], share, total, agreement)
 
 
 @kernel
-def count_votes(begin, end, links, index, start, observations, first, head, placed, origin, size,
-                directions, max_history, ids, share, count, total, agreement, seen):
+def count_votes(begin, end, links, number, index, start, observations, first, head, from_where,
+                origin, size, directions, max_history, voted, keep, ids, share, count, total,
+                agreement, seen):
     """
     Count the votes of rows begin .. end.
 
-    index (n, 3) are the voxels, placed (f, 4, 4) is T_map_sensor of every frame, size metres.
-    seen (65536,) tells which ids occurred at all.
+    index (n, 3) are the voxels, from_where (f, 3) is the sensor's place in every frame, size
+    metres. seen (65536,) tells which ids occurred at all.
 
     """
     longest = 1
@@ -91,61 +103,105 @@ def count_votes(begin, end, links, index, start, observations, first, head, plac
                                                                   max_history))
     side = 2 * directions + 1
     crowd = np.zeros(side * side * side, np.int32)      # observations by direction
-    where = np.empty(longest, np.int32)
+    where = np.zeros(longest, np.int32)
+    labels, confidences = np.empty(longest, np.int64), np.empty(longest)
     sums, plain = np.empty(65536, np.int64), np.empty(65536, np.int64)
     for r in range(begin, end):
-        x = (index[r, 0] + 0.5) * size + origin[0]
-        y = (index[r, 1] + 0.5) * size + origin[1]
-        z = (index[r, 2] + 0.5) * size + origin[2]
         n = np.int64(observations[r])
         at = oldest(n, first[r], max_history)
-        head_link = link_of(links, head[r], first[r], at)
-        link = head_link
-        if directions > 0:
-            for i in range(at, n):
-                if i > at and i % CHUNK == 0:
-                    link = np.int64(links[link - 1].next)
-                pose = placed[links[link - 1].f[i % CHUNK]]
-                dx, dy, dz = x - pose[0, 3], y - pose[1, 3], z - pose[2, 3]
-                length = np.sqrt(dx * dx + dy * dy + dz * dz)
-                ratio = directions / length if length > 0.0 else 0.0
-                b = np.int64(np.floor(dx * ratio + 1e-9)) + directions
-                b = b * side + np.int64(np.floor(dy * ratio + 1e-9)) + directions
-                b = b * side + np.int64(np.floor(dz * ratio + 1e-9)) + directions
-                where[i - at] = b
-                crowd[b] += 1
-        link = head_link
-        k0, n_classes = start[r], 0
-        for i in range(at, n):
-            if i > at and i % CHUNK == 0:
-                link = np.int64(links[link - 1].next)
-            c = links[link - 1].c[i % CHUNK]
-            s = np.float64(links[link - 1].s[i % CHUNK])
-            m = crowd[where[i - at]] if directions > 0 else 1
-            k = 0
-            while k < n_classes and ids[k0 + k] < c:
-                k += 1
-            if k == n_classes or ids[k0 + k] != c:      # keep them ascending
-                for later in range(n_classes, k, -1):
-                    ids[k0 + later] = ids[k0 + later - 1]
-                    sums[later], plain[later] = sums[later - 1], plain[later - 1]
-                ids[k0 + k], sums[k], plain[k] = c, 0, 0
-                n_classes += 1
-                seen[c] = 1
-            sums[k] += np.int64(np.rint(s / m * ONE))
-            plain[k] += 1
-        if directions > 0:
-            for i in range(n - at):
-                crowd[where[i]] = 0
-        whole, pairs = np.int64(0), 0.0
+        looks, k0 = n - at, start[r]
+        kept = voted[number[r]]
+        if keep and np.int64(kept.n) == n:
+            n_classes, squares = unpack(kept, ids, sums, k0), np.float64(kept.pairs)
+        else:
+            follow(links, link_of(links, head[r], first[r], at), at, n, from_where,
+                   (index[r, 0] + 0.5) * size + origin[0], (index[r, 1] + 0.5) * size + origin[1],
+                   (index[r, 2] + 0.5) * size + origin[2], directions, where, labels, confidences)
+            if directions > 0:
+                for i in range(looks):
+                    crowd[where[i]] += 1
+            n_classes = 0
+            for i in range(looks):
+                c = labels[i]
+                k = 0
+                while k < n_classes and ids[k0 + k] < c:
+                    k += 1
+                if k == n_classes or ids[k0 + k] != c:      # keep them ascending
+                    for later in range(n_classes, k, -1):
+                        ids[k0 + later] = ids[k0 + later - 1]
+                        sums[later], plain[later] = sums[later - 1], plain[later - 1]
+                    ids[k0 + k], sums[k], plain[k] = c, 0, 0
+                    n_classes += 1
+                m = crowd[where[i]] if directions > 0 else 1
+                sums[k] += np.int64(np.rint(confidences[i] / m * ONE))
+                plain[k] += 1
+            if directions > 0:
+                for i in range(looks):
+                    crowd[where[i]] = 0
+            squares = 0.0
+            for k in range(n_classes):
+                squares += plain[k] * plain[k]
+            if keep:
+                pack(kept, n, looks, n_classes, ids, sums, k0, squares)
+        whole = np.int64(0)
         for k in range(n_classes):
             whole += sums[k]
-            pairs += plain[k] * plain[k]
-        looks = np.float64(n - at)
+            seen[ids[k0 + k]] = 1
         total[r] = whole / ONE
         for k in range(n_classes):
             share[k0 + k] = sums[k] / ONE / total[r]
         count[r] = n_classes
         agreement[r] = -1.0
         if total[r] >= MANY:
-            agreement[r] = (pairs - looks) / max(looks * (looks - 1.0), 1.0)
+            agreement[r] = (squares - looks) / max(looks * (looks - 1.0), 1.0)
+
+
+@inlined
+def follow(links, link, at, n, from_where, x, y, z, directions, where, labels, confidences):
+    """Write labels, confidences and bins of direction of observations at .. n of a voxel."""
+    side, i = 2 * directions + 1, at
+    while i < n:
+        record = links[link - 1]
+        c, s, f = record.c, record.s, record.f
+        link = np.int64(record.next)
+        for p in range(i % CHUNK, min(CHUNK, i % CHUNK + n - i)):
+            labels[i - at], confidences[i - at] = c[p], s[p]
+            if directions > 0:
+                frame = f[p]
+                dx, dy, dz = x - from_where[frame, 0], y - from_where[frame, 1], \
+                    z - from_where[frame, 2]
+                length = np.sqrt(dx * dx + dy * dy + dz * dz)
+                ratio = directions / length if length > 0.0 else 0.0
+                b = np.int64(np.floor(dx * ratio + 1e-9)) + directions
+                b = b * side + np.int64(np.floor(dy * ratio + 1e-9)) + directions
+                where[i - at] = b * side + np.int64(np.floor(dz * ratio + 1e-9)) + directions
+            i += 1
+
+
+@inlined
+def unpack(kept, ids, sums, k0):
+    """Write the classes and votes of a VOTED; return how many classes."""
+    low, high, classes, n = kept.low, kept.high, kept.classes, 0
+    for k in range(2):
+        sums[n] = np.int64(low[k]) | np.int64(high[k]) << 32
+        if sums[n] > 0:
+            ids[k0 + n] = classes[k]
+            n += 1
+    return n
+
+
+@inlined
+def pack(kept, n, looks, n_classes, ids, sums, k0, squares):
+    """Keep the votes of a voxel where they fit a VOTED."""
+    low, high, classes = kept.low, kept.high, kept.classes
+    fits = n_classes <= 2 and looks < 65536
+    for k in range(min(n_classes, 2)):
+        fits = fits and 0 < sums[k] and sums[k] >> 48 == 0
+    kept.n = n if fits else 0
+    if not fits:
+        return
+    kept.pairs = np.int64(squares)
+    for k in range(2):
+        value = sums[k] if k < n_classes else np.int64(0)
+        low[k], high[k] = value & 0xFFFFFFFF, value >> 32
+        classes[k] = ids[k0 + k] if k < n_classes else 0

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.memory.dump import evidence_of_voxels, MemoryDump, read_histories
+from persem_ros.core.memory.dump import (
+    evidence_of_voxels, habits_of, MemoryDump, read_histories)
 from persem_ros.core.memory.pools import sparse_zeros
 from persem_ros.core.memory.voxel_memory import sort_order
 
@@ -92,7 +93,7 @@ class Capture:
             self._small = (
                 memory.session, memory.m.starts.copy(), memory.m.changes.copy(),
                 memory.seen_ids.copy(), None if memory.rho is None else memory.rho.copy(),
-                memory.frames.copy())
+                memory.frames.copy(), *habits_of(memory))
             self.moment = memory.clock
         return bool(ended)
 
@@ -114,14 +115,14 @@ class Capture:
         evidence = _evidence(slices, rows)
         history_start, *history = read_histories(memory, records)
         self.close()
-        session, starts, changes, seen_ids, rho, frames = self._small
+        session, starts, changes, seen_ids, rho, frames, habits, by = self._small
         return MemoryDump(
             memory.voxel_size, memory.origin, memory.kept_history, session, index,
             np.concatenate([[0], np.cumsum(counts[last])]), joined['cell'].astype(np.uint16),
             records['n'], records['switches'], records['label'], records['majority'],
             records['last'], records['first_label'], records['source'], joined['dirty'],
             records['gone'], joined['posterior'], *evidence, history_start, *history,
-            starts, changes, seen_ids, rho, frames)
+            starts, changes, seen_ids, rho, frames, habits, by)
 
     def close(self) -> None:
         """Read nothing more of the map."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field as field_of
+from typing import Any, Optional
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +53,11 @@ class MemoryDump:
         Class volatility's counters.
     seen_ids : ndarray, shape (65536,), uint8
     rho : ndarray, shape (65536,), float64, or None
+    habits : dict of str to ndarray
+        The parameters of the method geometry (core.geometry.kept), and with them known, voted,
+        uint16: the ids that there were when they were fitted, and all that there are; {}: none.
+    fitted_by : tuple or None
+        The values of refine.up and refine.geometry that they were fitted with.
     frames : core.memory.frame_table.FrameTable
 
     """
@@ -86,6 +92,8 @@ class MemoryDump:
     seen_ids: np.ndarray
     rho: object
     frames: FrameTable
+    habits: dict[str, NDArray[Any]] = field_of(default_factory=dict)
+    fitted_by: Optional[tuple[Any, ...]] = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,6 +143,11 @@ def take_over(memory: VoxelMemory, saved: MemoryDump) -> None:
     memory.m.changes[:] = saved.changes
     memory.seen_ids[:] = saved.seen_ids
     memory.rho = None if saved.rho is None else saved.rho.copy()
+    memory.habits, memory.fitted_by = saved.habits, saved.fitted_by
+    memory.n_gone = int(np.count_nonzero(saved.gone))
+    memory.voted_ids[saved.history_label] = 1
+    for name, ids in (('known', memory.known_ids), ('voted', memory.voted_ids)):
+        ids[saved.habits.get(name, [])] = 1
     memory.resume(saved.frames, saved.session)
 
 
@@ -148,6 +161,7 @@ def enter(memory: VoxelMemory, saved: Blocks | MemoryDump) -> NDArray[np.int64]:
            saved.observations, saved.evidence_start, saved.evidence_class, saved.evidence_sum,
            saved.history_start, saved.history_label, saved.history_confidence, saved.history_frame,
            saved.history_offset, saved.dirty, block, number)
+    memory.relief = None
     memory.growth = None        # some may have the numbers of blocks that left
     for field in ('switches', 'label', 'majority', 'last', 'first_label', 'source', 'gone'):
         memory.m.voxels[field][number] = getattr(saved, field)
@@ -192,6 +206,16 @@ def read_histories(memory: VoxelMemory, records: NDArray[np.void]) -> tuple[NDAr
     where = np.empty((start[-1], 3), np.uint8)
     _read_histories(memory.m.links, memory.m.offsets, records, start, *history, where)
     return start, *history, where
+
+
+def habits_of(
+        memory: VoxelMemory) -> tuple[dict[str, NDArray[Any]], Optional[tuple[Any, ...]]]:
+    """Return the dump's habits and fitted_by."""
+    if memory.geometry is None:
+        return memory.habits, memory.fitted_by if memory.habits else None
+    ids = {name: np.flatnonzero(some).astype(np.uint16) for name, some in (
+        ('known', memory.known_ids), ('voted', memory.voted_ids))}
+    return {**memory.geometry.arrays(), **ids}, memory.fitted_by
 
 
 @kernel

@@ -49,7 +49,14 @@ VOXEL = np.dtype([
 LINK = np.dtype([('c', 'u2', CHUNK), ('s', 'f4', CHUNK), ('f', 'i4', CHUNK), ('next', 'u4')])
 OFFSETS = np.dtype([('xyz', 'u1', 3 * CHUNK)])
 # Beside the voxels, by their numbers, for the method geometry: no page of it is used without.
-BELIEF = np.dtype([('posterior', 'f4'), ('label', 'u2'), ('pad', 'u2')])    # of this label
+BELIEF = np.dtype([('posterior', 'f4'), ('label', 'u2'),   # of this label
+                   ('shape', 'u1'), ('pad', 'u1')])        # core.geometry.shape
+# What a history of n observations comes to once looks from one direction are thinned out, for
+# voxels of at most two classes (core.geometry.votes); n = 0: nothing is kept.
+VOTED = np.dtype([('low', 'u4', 2), ('high', 'u2', 2),      # H_v(c) in units of 2^-32, 48 bits
+                  ('classes', 'u2', 2),
+                  ('n', 'u4'),
+                  ('pairs', 'u4')])                         # sum of the squares of plain counts
 SPILL = np.dtype([('sums', 'f8', INLINE), ('classes', 'u2', INLINE), ('pad', 'u2'),
                   ('next', 'u4'), ('pad2', 'u4')])
 BLOCK = np.dtype([
@@ -92,6 +99,8 @@ class Store:
         They stay valid and in place for the store's life.
     beliefs : ndarray, BELIEF
         By voxel number.
+    voted : ndarray, VOTED
+        By voxel number; only refinements read and write it.
     capacity : dict
         Largest number of blocks, voxels, links and spills.
 
@@ -103,7 +112,8 @@ class Store:
                        'links': _reserve(LINK, memory), 'spills': _reserve(SPILL, memory // 2)}
         self.capacity = {name: len(pool) for name, pool in self._pools.items()}
         self.beliefs = _reserve(BELIEF, memory // 8)
-        self.capacity['voxels'] = min(self.capacity['voxels'], len(self.beliefs))
+        self.voted = _reserve(VOTED, memory // 4)
+        self.capacity['voxels'] = min(self.capacity['voxels'], len(self.beliefs), len(self.voted))
         self.arrays = Pools(
             *self._pools.values(), _reserve(OFFSETS, memory // 2),
             _reserve(STAMP, self.capacity['blocks'] * STAMP.itemsize),

@@ -68,6 +68,14 @@ class VoxelMemory:
         self.store = Store()
         self.table = new_table(512)
         self.geometry = None        # parameters of the method geometry (core.geometry)
+        self.relief = None          # core.geometry.relief.Relief, kept between refinements
+        self.n_gone = 0             # voxels that moved away (spec section 10)
+        self.voted_ids = np.zeros(65536, np.uint8)      # ids of observations
+        self.habits = {}            # the same as arrays, as a file had them, until needed
+        self.fitted_by = None       # refine.up and values of refine.geometry it was fitted with
+        self.tally = None           # core.geometry.kept.Tally of the sweep under way
+        self.known_ids = np.zeros(65536, np.uint8)      # those that self.geometry was fitted to
+        self.voted_by = -1          # directions that store.voted counts by
         self._stamps = Stamps()
         self._next_t = 0
 
@@ -132,6 +140,7 @@ class VoxelMemory:
         if self.m.used[FREE_BLOCKS] != free:
             self.growth = None
         self.seen_ids[observations.ids] = 1
+        self.voted_ids[observations.labels] = 1
         return rows
 
     @property
@@ -283,6 +292,9 @@ class VoxelMemory:
         """Return {what: bytes in use}, everything included."""
         sizes = self.store.nbytes()
         sizes['frames'] = self.frames.nbytes()
+        if self.relief is not None:
+            sizes['geometry'] = self.relief.nbytes(self.n_blocks) + self.n_voxels * (
+                self.store.voted.itemsize + self.store.beliefs.itemsize)
         sizes['hash table'] = self.table.nbytes
         sizes['classes'] = self.m.starts.nbytes + self.m.changes.nbytes + self.seen_ids.nbytes
         return sizes

@@ -8,6 +8,7 @@ from typing import Any, TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.geometry.account import account
+from persem_ros.core.geometry.kept import parameters_of
 from persem_ros.core.geometry.method import GEOMETRY
 from persem_ros.core.memory.blocks import directions
 from persem_ros.core.memory.evidence import TIE
@@ -76,7 +77,8 @@ def explain(memory: VoxelMemory, voxel: NDArray[np.int32], settings: Refine) -> 
                            + settings.eta * soft.get(c, 0.0) for c in sorted({*shares, *soft})}
         trace['anchor_label'] = argmax(trace['anchor'], majority)
     if settings.method == 'geometry':
-        found = trace['geometry'] = account(memory, take(memory), number, settings)
+        found = trace['geometry'] = account(
+            memory, take(memory), number, settings, parameters_of(memory, settings))
         trace['label'] = found['label']
         trace['source'] = GEOMETRY if found['label'] != majority else MAJORITY
     if settings.method in METHODS and trace['recurrent']:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.geometry.method import Labelled, relabel
+from persem_ros.core.geometry.kept import from_arrays, in_cells, Tally
+from persem_ros.core.geometry.method import cells_at, Labelled, relabel
 from persem_ros.core.jit import kernel, split
 from persem_ros.core.memory.blocks import directions
 from persem_ros.core.memory.paging import block_numbers
 from persem_ros.core.memory.pools import CLOCK, SIDE
 from persem_ros.core.refine import fusion, selection, snapshot
+from persem_ros.core.refine.reach import reached
 from persem_ros.core.refine.sweep import next_blocks, Sweep
 from persem_ros.errors import PersemError
 
@@ -84,16 +86,32 @@ def begin(memory: VoxelMemory, settings: Refine, full: bool = True) -> Job:
     if full or memory.rho is None:
         _take_rho(memory)
     rules = _rules(memory, settings)
-    everywhere = memory.refined_with != rules or (
-        settings.method == 'geometry' and len(memory.changed_blocks()) > 0)
+    everywhere = memory.refined_with != rules
     memory.refined_with = rules
     memory.since_rho += 1
     if everywhere:
         memory.sweep = None
-    taken = snapshot.take(memory, None if everywhere else settings.neighbours)
+    if settings.method == 'geometry':
+        everywhere |= _news(memory, settings)
+        taken = reached(memory, settings, everywhere)
+    else:
+        taken = snapshot.take(memory, None if everywhere else settings.neighbours)
     snapshot.settle(memory)
     memory.refinements += 1
     return Job(memory, settings, taken, memory.rho, number_of_ids(memory), memory.geometry)
+
+
+def _news(memory: Any, settings: Any) -> bool:
+    """Return whether parameters have to be fitted anew: there are none, or a class is new."""
+    by = settings.up, *astuple(settings.geometry)
+    if memory.geometry is None and memory.habits:
+        memory.geometry = from_arrays(memory.habits)
+    memory.habits = {}
+    if memory.geometry is not None and memory.fitted_by == by and \
+            not (memory.voted_ids & ~memory.known_ids).any():
+        return False
+    memory.geometry, memory.fitted_by, memory.known_ids = None, by, memory.voted_ids.copy()
+    return True
 
 
 def begin_next(memory: Any, settings: Any, fresh: Any = False) -> Any:
@@ -105,9 +123,9 @@ def begin_next(memory: Any, settings: Any, fresh: Any = False) -> Any:
     were begun with it and all voxels have seen it, or at once with *fresh*.
 
     """
-    if settings.method not in SWEPT:
-        return begin(memory, settings, fresh or _due(memory, settings))
     rules = _rules(memory, settings)
+    if settings.method == 'geometry':
+        return _begin_round(memory, settings, rules, fresh)
     if fresh or memory.rho is None or _due(memory, settings):
         _take_rho(memory)
     if memory.refined_with != rules:
@@ -180,6 +198,33 @@ def _settle_blocks(memory: VoxelMemory, numbers: NDArray[np.int64]) -> None:
     memory.m.stamps['stored'][marked] = memory.clock
 
 
+def _begin_round(memory: Any, settings: Any, rules: Any, fresh: bool) -> Job:
+    """
+    Return begin_next()'s Job by the method geometry.
+
+    The schedule is run where parameters are missing or *fresh* ones wanted. Else what changed is
+    labelled by those in force, and the next blocks of a sweep, over which they are estimated
+    anew (spec section 12.5): the next sweep goes by the new ones.
+
+    """
+    if fresh or memory.rho is None or memory.refined_with != rules or _news(memory, settings):
+        return begin(memory, settings)
+    if (memory.sweep is None or memory.sweep.ended) and memory.n_observations != memory.rho_of:
+        known = memory.geometry
+        if memory.tally is not None:
+            known = memory.tally.parameters(known, settings.geometry.shrink)
+        memory.sweep, memory.tally = Sweep(memory.m.blocks, memory.n_blocks), Tally()
+        memory.rho_of, memory.since_rho = memory.n_observations, 0
+        memory.geometry = in_cells(known, cells_at(memory.relief.ground, settings.geometry.cell))
+    memory.since_rho += 1
+    also = next_blocks(memory.sweep, memory.m.blocks, memory.table, settings.sweep)
+    taken = reached(memory, settings, False, also)
+    snapshot.settle(memory)
+    memory.refinements += 1
+    return Job(memory, settings, taken, memory.rho, number_of_ids(memory), memory.geometry,
+               memory.sweep)
+
+
 def swept(memory: Any, settings: Any) -> Any:
     """Return whether every voxel has seen the present volatility and settings."""
     return memory.rho is not None and memory.refined_with == _rules(memory, settings) and \
@@ -195,7 +240,8 @@ def at_rest(memory: Any, settings: Any) -> Any:
 def _take_rho(memory: Any) -> None:
     """Take the class volatility anew; every voxel has to see it."""
     memory.rho, memory.rho_of = memory.volatility(), memory.n_observations
-    memory.refined_with, memory.since_rho, memory.geometry = None, 0, None
+    memory.refined_with, memory.since_rho = None, 0
+    memory.geometry, memory.tally, memory.habits = None, None, {}
 
 
 def _due(memory: Any, settings: Any) -> Any:
@@ -215,7 +261,7 @@ def number_of_ids(memory: Any) -> Any:
 
 
 def finish(job: Job, labels: NDArray[np.uint16], sources: NDArray[np.uint8], posterior: Any,
-           parameters: Any) -> int:
+           parameters: Any, sums: Any = None) -> int:
     """
     Enter what a job computed into the map, on the mapping thread; return how many voxels.
 
@@ -228,6 +274,8 @@ def finish(job: Job, labels: NDArray[np.uint16], sources: NDArray[np.uint8], pos
           taken.number, taken.majority, labels, sources)
     _believe(job.memory, taken, labels, posterior)
     job.memory.geometry = parameters
+    if sums is not None and job.memory.tally is not None:
+        job.memory.tally.add(sums, taken.swept)
     job.memory.refinements -= 1
     return taken.refined
 

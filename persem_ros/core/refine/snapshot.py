@@ -50,6 +50,12 @@ class Snapshot:
         t of every frame.
     placed : ndarray, shape (frames, 4, 4), float64
         Where the observations of every frame lie from, T_map_sensor.
+    relief : core.geometry.relief.Relief, or None
+        For the method geometry, of the same moment; the next two are of use with it alone.
+    reshaped : ndarray, int64
+        Rows whose shape changed.
+    swept : int
+        So many of the refined rows, the first, are of the blocks that a sweep had reached.
 
     """
 
@@ -68,6 +74,9 @@ class Snapshot:
     head: np.ndarray
     frame_t: np.ndarray
     placed: np.ndarray
+    relief: Any = None
+    reshaped: Any = None
+    swept: int = 0
 
 
 def take(memory: VoxelMemory, neighbours: int | None = None, also: Any = ()) -> Snapshot:
@@ -79,13 +88,22 @@ def take(memory: VoxelMemory, neighbours: int | None = None, also: Any = ()) -> 
     the snapshot holds these and the ring around them.
 
     """
-    pools = memory.m
     if neighbours is None:
         block, cell, number = memory.listing()
         refined = len(number)
     else:
         block, cell, number, refined = _changed(memory, neighbours, np.asarray(also, np.int64))
-    n = len(number)
+    if memory.n_gone:
+        present = memory.m.voxels['gone'][number] == 0
+        refined = int(np.count_nonzero(present[:refined]))
+        block, cell, number = block[present], cell[present], number[present]
+    return copied(memory, block, cell, number, refined)
+
+
+def copied(memory: VoxelMemory, block: NDArray[np.int64], cell: NDArray[np.int64],
+           number: NDArray[np.int64], refined: int) -> Snapshot:
+    """Return the Snapshot of the given voxels, the first *refined* of which are to be refined."""
+    pools, n = memory.m, len(number)
     row = sparse_zeros(memory.n_numbers, np.int32)
     row[number] = np.arange(1, n + 1, dtype=np.int32)
     start = np.zeros(n + 1, np.int64)
@@ -119,11 +137,11 @@ def _changed(
     reach = {6: 0, 18: 1, 26: 2}[neighbours]
     marks, needed, changed = (sparse_zeros((n, ROWS), np.uint8) for _ in range(3))
     changed[dirty] = blocks['changed'][dirty]
-    nearby = _around(blocks, dirty, n)
+    nearby = blocks_around(blocks, dirty, n)
     dilate(blocks, nearby, changed, reach, marks)
     marks[also] = 255
     nearby = np.union1d(nearby, also)
-    further = _around(blocks, nearby, n)
+    further = blocks_around(blocks, nearby, n)
     dilate(blocks, further, marks, reach, needed)
     size = int(blocks['count'][further].sum())
     block, cell, number = (np.empty(size, np.int64) for _ in range(3))
@@ -133,7 +151,7 @@ def _changed(
     return block[:total], cell[:total], number[:total], refined
 
 
-def _around(
+def blocks_around(
         blocks: NDArray[np.void], numbers: NDArray[np.int64], n_blocks: int) -> NDArray[np.int64]:
     """Return the sorted numbers of the given blocks and of those that touch them."""
     found = np.zeros(n_blocks + 1, bool)

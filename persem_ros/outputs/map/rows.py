@@ -15,6 +15,7 @@ from persem_ros.core.memory.frame_table import FrameTable, Session
 from persem_ros.frames import MAX_ID
 from persem_ros.outputs.map import schema1
 from persem_ros.outputs.map.checks import check_about, check_dump, check_head
+from persem_ros.outputs.map.habits import from_blob, to_blob
 
 SCHEMA = 2
 ORDER = {'about': 'name', 'sessions': 'number', 'mounts': 'session, sensor', 'frames': 'row',
@@ -70,6 +71,8 @@ def to_rows(saved: MemoryDump, texts: dict[str, str]) -> dict[str, Any]:
              'session': saved.session, 'refined': int(saved.rho is not None),
              'blocks': len(saved.block_index), 'voxels': len(saved.cell),
              'observations': int(saved.observations.sum(dtype=np.int64))}
+    if saved.habits and saved.fitted_by is not None:
+        about['habits'] = to_blob(saved.habits, saved.fitted_by)
     small = {**small_rows(saved), 'frames': list(frame_rows(saved.frames))}
     about['frames_crc'] = crc_of(small['frames'])
     about['crc'] = crc_of(about_rows(about, small))
@@ -174,9 +177,12 @@ def from_rows(rows: dict[str, Any]) -> tuple[dict[str, Any], MemoryDump] | None:
     if first:
         columns |= schema1.added(columns, columns['history_start'], table)
         del columns['history_t']
+    habits = {} if 'habits' not in about else dict(zip(
+        ('habits', 'fitted_by'), from_blob(about['habits'])))
     saved = MemoryDump(
         about['voxel_size'], struct.unpack('<3d', about['origin']), about['max_history'],
-        about['session'], **columns, **_counters(classes, about['refined']), frames=table)
+        about['session'], **columns, **_counters(classes, about['refined']), frames=table,
+        **habits)
     if 'blocks' in rows:
         check_dump(saved, about)
     else:

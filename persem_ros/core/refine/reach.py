@@ -1,0 +1,109 @@
+"""
+What the method geometry is handed: a snapshot of all that a change may reach, and no more.
+
+Evidence counts two rings away, an occupied cell four (two by the shapes around it), the ground in
+its columns (spec section 12); to label these, two rings more have to be looked at.
+
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from persem_ros.core.geometry.labelling import SMOOTHED
+from persem_ros.core.geometry.relief import Change, Relief, spread
+from persem_ros.core.geometry.shape import RADIUS
+from persem_ros.core.geometry.upright import up_of
+from persem_ros.core.jit import split
+from persem_ros.core.memory.pools import ROWS, sparse_zeros
+from persem_ros.core.refine import snapshot
+
+NO_BLOCKS = np.empty(0, np.int64)
+
+
+def reached(memory: Any, settings: Any, everywhere: bool,
+            also: NDArray[np.int64] = NO_BLOCKS) -> snapshot.Snapshot:
+    """
+    Return the Snapshot of a refinement by the method geometry.
+
+    Parameters
+    ----------
+    memory : core.memory.voxel_memory.VoxelMemory
+        Its relief is brought up to date.
+    settings : persem_ros.settings.config.Refine
+    everywhere : bool
+        The whole map; else what the changes since the last refinement reach.
+    also : ndarray, int64
+        Numbers of blocks that are labelled besides; they come first.
+
+    """
+    up, window = up_of(settings.up), settings.geometry.window
+    dirty = memory.changed_blocks()
+    if memory.relief is None or (memory.relief.up, memory.relief.window) != (up, window):
+        memory.relief = Relief(memory, up, window)
+    change = memory.relief.update(memory, dirty)
+    if everywhere or change.whole:
+        taken = snapshot.take(memory)
+        return replace(taken, relief=memory.relief, reshaped=_reshaped(memory, change, taken))
+    return _part(memory, settings, change, dirty, also)
+
+
+def _part(memory: Any, settings: Any, change: Change, dirty: NDArray[np.int64],
+          also: NDArray[np.int64]) -> snapshot.Snapshot:
+    """Return the Snapshot of what a change reaches, and of *also*."""
+    blocks, n, bits = memory.m.blocks, memory.n_blocks, memory.relief.bits
+    rings = SMOOTHED if settings.geometry.smoothing else 0
+    stale, by = _spread(blocks, n, change.blocks, change.occupied, RADIUS)
+    stale[dirty] |= blocks['changed'][dirty]
+    stale[change.risen_blocks] |= change.risen[change.risen_blocks]
+    by = _union(n, by, dirty, change.risen_blocks)
+    marks, by = _spread(blocks, n, by, stale, rings)
+    first, asked = (sparse_zeros((n, ROWS), np.uint8) for _ in range(2))
+    asked[by] = marks[by]
+    first[also] = asked[also] = 255
+    marks[also] = 0
+    by = _union(n, by, also)
+    needed, around = _spread(blocks, n, by, asked, rings)
+    needed[by] &= ~asked[by]
+    size = int(blocks['count'][around].sum())
+    lists = [np.empty(size, np.int64) for _ in range(3)]
+    end, ends = 0, []
+    for numbers, rows in ((also, first), (by, marks), (around, needed)):
+        wanted = sparse_zeros((n, ROWS), np.uint8)
+        wanted[numbers] = rows[numbers] & bits[numbers]
+        end = snapshot.list_marked(blocks, numbers, wanted, *lists, end)
+        ends.append(end)
+    taken = snapshot.copied(memory, *(column[:end] for column in lists), ends[1])
+    return replace(taken, relief=memory.relief, reshaped=_reshaped(memory, change, taken),
+                   swept=ends[0])
+
+
+def _spread(blocks: Any, n: int, numbers: NDArray[np.int64], rows: NDArray[np.uint8],
+            reach: int) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+    """Return cells within *reach* of marked ones of the given blocks, and blocks around these."""
+    out = sparse_zeros((n, ROWS), np.uint8)
+    if reach == 0:
+        out[numbers] = rows[numbers]
+        return out, numbers
+    around = snapshot.blocks_around(blocks, numbers, n)
+    split(spread, len(around), blocks, around, rows, reach, out, grain=256)
+    return out, around
+
+
+def _union(n: int, *numbers: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the sorted distinct block numbers, below n."""
+    found = np.zeros(n, bool)
+    for some in numbers:
+        found[some] = True
+    return np.flatnonzero(found)
+
+
+def _reshaped(memory: Any, change: Change, taken: snapshot.Snapshot) -> NDArray[np.int64]:
+    """Return the rows whose shape has to be found anew."""
+    if change.whole:
+        return np.arange(len(taken.number))
+    near, _ = _spread(memory.m.blocks, memory.n_blocks, change.blocks, change.occupied, RADIUS)
+    return np.flatnonzero(near[taken.block, taken.cell >> 3] >> (taken.cell & 7) & 1)
