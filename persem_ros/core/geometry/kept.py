@@ -123,9 +123,9 @@ def sound(arrays: Arrays) -> bool:
         integers = {*whole, *(name for name in arrays if name.endswith('_keys'))}
         return bool(
             K and set(arrays) == {*shapes, *whole}
-            and (np.diff(arrays['classes'].astype(int)) > 0).all()
             and all(arrays[name].dtype == kind for name, kind in whole.items())
             and all(arrays[name].shape == shape for name, shape in shapes.items())
+            and (np.diff(arrays['classes'].astype(int)) > 0).all()
             and all(a.dtype == np.float64 and np.isfinite(a).all() and (a >= 0).all()
                     for name, a in arrays.items() if name not in integers)
             and (arrays['pi'] > 0).all())
