@@ -306,6 +306,7 @@ def test_voxels_that_moved_away_are_no_part_of_the_world():
     gone = memory.find(np.array(sorted({v for _, seen, _ in towers for v in seen}), np.int32))
     memory.m.voxels['gone'][gone] = 1
     memory.n_gone = len(gone)
+    memory.m.stamps['evidence'][:memory.n_blocks] = memory.clock + 1
     without = memory_of(frames)
     for one in (memory, without):
         refine(one, GEOMETRY)

@@ -69,7 +69,7 @@ class VoxelMemory:
         self.table = new_table(512)
         self.geometry = None        # parameters of the method geometry (core.geometry)
         self.relief = None          # core.geometry.relief.Relief, kept between refinements
-        self.n_gone = 0             # voxels that moved away (spec section 10)
+        self.n_gone = 0             # voxels that moved away; their blocks are stamped
         self.voted_ids = np.zeros(65536, np.uint8)      # ids of observations
         self.habits = {}            # the same as arrays, as a file had them, until needed
         self.fitted_by = None       # refine.up and values of refine.geometry it was fitted with
