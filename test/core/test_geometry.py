@@ -185,9 +185,9 @@ def assert_as_whole(memory, settings):
     assert (belief['posterior'] == wanted.posterior).all()
 
 
-def advance(memory, settings):
-    """Refine what is next in turn; return how many voxels were visited."""
-    job = begin_next(memory, settings)
+def advance(memory, settings, fresh=False):
+    """Refine what is next in turn, as a node does; return how many voxels were visited."""
+    job = begin_next(memory, settings, fresh)
     return finish(job, *job.compute())
 
 
@@ -267,9 +267,9 @@ def test_sweeps_estimate_the_parameters_anew(form, monkeypatch):
     assert memory.tally.voxels == memory.n_voxels
     assert (memory.tally.sums.mass == whole.sums.mass).all()
     assert memory.tally.sums.agreement == whole.sums.agreement
-    refine(memory, settings)
+    assert advance(memory, settings, fresh=True) == memory.n_voxels     # ~/refine
     straight = memory_of(frames)
-    refine(straight, settings)
+    refine(straight, settings)          # a replay
     assert straight.geometry.pi.tolist() == memory.geometry.pi.tolist()
     assert (straight.voxels()['confidence'] == memory.voxels()['confidence']).all()
 
