@@ -1,8 +1,9 @@
-"""The mapper with its topics, and on demand a recording that is played, and RViz."""
+"""The mapper with its topics, and on demand a recording that is then played, and RViz."""
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, ExecuteProcess
+from launch.actions import DeclareLaunchArgument, ExecuteProcess, RegisterEventHandler
 from launch.conditions import IfCondition
+from launch.event_handlers import OnProcessIO
 from launch.substitutions import (
     AndSubstitution, EqualsSubstitution, LaunchConfiguration, NotSubstitution,
     PathJoinSubstitution,
@@ -59,4 +60,20 @@ def generate_launch_description():
             ([], NotSubstitution(given['loop'])), (['--loop'], given['loop']))]
     rviz = Node(package='rviz2', executable='rviz2', arguments=['-d', given['rviz_config']],
                 condition=IfCondition(given['rviz']))
-    return LaunchDescription([*arguments, mapper, *players, rviz])
+    begin = once_ready(players)
+    playing = RegisterEventHandler(OnProcessIO(target_action=mapper, on_stdout=begin,
+                                               on_stderr=begin))
+    return LaunchDescription([*arguments, playing, mapper, rviz])
+
+
+def once_ready(actions):
+    """Return a handler that begins *actions* when the node says that it is ready."""
+    waiting = list(actions)
+
+    def begin(event):
+        lines = event.text.decode(errors='replace').splitlines()
+        if not any(line.endswith(': ready') for line in lines):
+            return None
+        found, waiting[:] = list(waiting), []
+        return found
+    return begin
