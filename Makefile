@@ -8,6 +8,8 @@
 # make bench-live  the node under load, through real DDS
 # make fuzz         files that mean harm, for MINUTES=30; prints its seed (SEED=n repeats it)
 # make signals      Ctrl-C and SIGTERM at 200 moments of each command that test_signals.py runs
+# make docs          the documentation as a site, build/site/index.html; a broken link fails
+# make docs-links    asks every address on the network
 # make clean         away with everything that these made
 # PYTHON=python3.12, VENV=folder, ARGS="-k memory" and WORKERS=1 change interpreter, folder,
 # arguments and the number of processes that test.
@@ -19,7 +21,7 @@ RUN := $(VENV)/bin/python
 PEP257 := --ignore=D100,D101,D102,D103,D104,D105,D106,D107,D203,D212,D404 --match='.*\.py'
 
 .DELETE_ON_ERROR:
-.PHONY: test demo bench bench-long lint test-matrix ros-test bench-live fuzz signals clean
+.PHONY: test demo bench bench-long lint test-matrix ros-test bench-live fuzz signals clean docs docs-links
 # A sourced ROS would put its own pytest plugins and messages into our environment.
 unexport PYTHONPATH
 
@@ -58,6 +60,12 @@ fuzz: $(VENV)/installed-test
 
 signals: $(VENV)/installed-test
 	PERSEM_SIGNALS=200 $(RUN) -m pytest -q test/commands/test_signals.py $(ARGS)
+
+docs: $(VENV)/installed-docs
+	$(RUN) -m sphinx -W --keep-going -q -b html docs build/site
+
+docs-links: $(VENV)/installed-docs
+	$(RUN) -m sphinx -q -b linkcheck docs build/links
 
 clean:
 	rm -rf .venv .venv-* build install log demo *.egg-info .pytest_cache .hypothesis

@@ -44,6 +44,7 @@ setup(
                  'types-PyYAML', 'types-tqdm'],
         'bench': ['octomap-python>=1.8', 'open3d>=0.18', 'psutil>=5.9'],
         'cluster': ['distributed>=2024.1'],
+        'docs': ['myst-parser>=3', 'sphinx>=7', 'sphinx-rtd-theme>=2'],
         'evaluate': ['matplotlib>=3.7'],
         'gis': ['laspy>=2.5', 'lazrs>=0.6', 'pyarrow>=15', 'pyproj>=3.6', 'rasterio>=1.3'],
         'viewer': ['rerun-sdk>=0.23'],

@@ -16,6 +16,7 @@ from persem_ros.ros.counters import Statistics
 from persem_ros.ros.diagnostics import Diagnostics
 from persem_ros.ros.ending import Ending
 from persem_ros.ros.first_look import FirstLook
+from persem_ros.ros.grid import GridOutputs
 from persem_ros.ros.images import ImageOutputs
 from persem_ros.ros.inbox import Inbox
 from persem_ros.ros.inputs import check_topics, Inputs
@@ -78,6 +79,7 @@ class Mapper(Node):
                             FirstLook(self.inputs.stations, decode))
         self.triggers = Services(self, self.worker, self.map_file)
         self._clicked = ClickedPoint(self)
+        self._grid = GridOutputs(self)
         self._watchdog = Watchdog(self.inputs, self.statistics)
         self._losses = Losses(self.inputs.all)
         self._diagnostics = Diagnostics(self, self.worker, self.inputs, self.inbox)
@@ -98,6 +100,7 @@ class Mapper(Node):
         """Stop the worker, save the map if map.save says so; return whether that went well."""
         self.worker.stop()
         self.triggers.close()
+        self._grid.close()
         well = self.map_file.end(self.worker.config, self.worker.memory,
                                  self.statistics.frames > 0)
         logging.getLogger('persem_ros').removeHandler(self._handler)
