@@ -1,6 +1,7 @@
 """The documentation as a site: `make docs` builds it with Sphinx, warnings are errors."""
 
 from pathlib import Path
+import re
 import sys
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -22,3 +23,16 @@ autodoc_typehints = 'none'              # docstrings give shapes and units, whic
 napoleon_google_docstring = False
 nitpicky = False
 linkcheck_ignore = [r'http://localhost', r'http://127\.0\.0\.1']
+
+
+def _moved(app, path, page, content):
+    """Let links of the files above docs/ lead from here; *content* is a list of one text."""
+    text = re.sub(r'\]\((ARCHITECTURE|CONTRIBUTING)\.md\)', lambda m: f']({m[1].lower()}.md)',
+                  content[0])
+    text = re.sub(r'\]\(docs/', '](', text.replace('](CHANGELOG.rst)', '](changelog.rst)'))
+    content[0] = re.sub(r'\]\((examples/|config/)', r'](../\1', text)
+
+
+def setup(app):
+    """Hear of files that are included; Sphinx calls this."""
+    app.connect('include-read', _moved)

@@ -143,7 +143,7 @@ class Map:
         return ids.tolist(), result
 
     def table(self, **choice: Any) -> Any:
-        """Return columns(**choice) as a pandas.DataFrame, with names and times."""
+        """Return columns() of the same choice as a pandas.DataFrame, with names and times."""
         try:
             pandas = importlib.import_module('pandas')
         except ImportError:
