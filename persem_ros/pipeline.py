@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from persem_ros.core.frame import images
 from persem_ros.core.frame.observe import gather
 from persem_ros.core.frame.render import filled, render_map, voxel_image, voxel_image_of
+from persem_ros.core.frame.stride import thinned
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine.job import begin_next, finish, refine
 from persem_ros.frames import UNKNOWN
@@ -44,11 +45,7 @@ class Pipeline:
 
     def observe(self, frame: Frame) -> Observations:
         """Return what a frame (persem_ros.frames.Frame) says about each voxel it sees."""
-        labels = images.counted_labels(frame, self.config.memory)
-        offsets = np.empty(frame.depth.size, np.int32)
-        return gather(*self._placed(frame, offsets), labels, self.config.memory.min_pixels,
-                      frame.stamp, frame.T_map_camera, frame.sensor, offsets,
-                      frame.T_body_camera, images.weights(frame))
+        return self._observed(thinned(frame, self.config.memory))
 
     def add(self, frame: Frame) -> Observations:
         """Integrate a frame; return its Observations."""
@@ -71,7 +68,8 @@ class Pipeline:
         """
         Return the refined label image of a frame, int32 on the labels' grid.
 
-        observations, where add() has just returned them, save placing the pixels again.
+        observations, where add() has just returned them, save placing the pixels again (where
+        no stride left pixels out).
 
         """
         voxels = self.voxel_image(frame, observations)
@@ -83,12 +81,22 @@ class Pipeline:
             self, frame: Frame, observations: Observations | None = None) -> NDArray[np.int32]:
         """Return the voxel number of each depth pixel, int32; -1: no depth or unknown."""
         shape = frame.depth.shape
+        if observations is not None and observations.where.size != frame.depth.size:
+            observations = None         # a stride left pixels out
         if observations is None and self.memory.pager is not None:
-            observations = self.observe(frame)
+            observations = self._observed(frame)
             self.memory.pager.need_voxels(observations.voxels)
         if observations is not None:
             return voxel_image(self.memory, observations, shape)
         return voxel_image_of(self.memory, *self._placed(frame), shape)
+
+    def _observed(self, frame: Frame) -> Observations:
+        """Return what all pixels of a frame say, whatever the stride."""
+        labels = images.counted_labels(frame, self.config.memory)
+        offsets = np.empty(frame.depth.size, np.int32)
+        return gather(*self._placed(frame, offsets), labels, self.config.memory.min_pixels,
+                      frame.stamp, frame.T_map_camera, frame.sensor, offsets,
+                      frame.T_body_camera, images.weights(frame))
 
     def _placed(self, frame: Frame, offsets: NDArray[np.int32] | None = None
                 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -138,12 +138,12 @@ class Renderer:
         if sensor not in self._smoothers:
             self._smoothers[sensor] = EmaImages(self.pipeline.config.ema.alpha)
         return self._smoothers[sensor].update(
-            counted(labels, _without_stride(self.pipeline.config.memory)))
+            counted(labels, _still(self.pipeline.config.memory)))
 
 
-def _without_stride(settings: Memory) -> Memory:
-    """Return the settings that say which ids count, for whole images."""
-    return replace(settings, stride=1, dynamic_labels=(-1,))
+def _still(settings: Memory) -> Memory:
+    """Return the settings as if nothing moved: all ids count that are not ignored."""
+    return replace(settings, dynamic_labels=(-1,))
 
 
 def _any_of(labels: NDArray[np.int32], ids: tuple[int]) -> Any:

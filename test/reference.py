@@ -12,6 +12,7 @@ from collections import Counter, defaultdict, namedtuple
 from fractions import Fraction
 from itertools import product
 import math
+import statistics
 
 import geometry_reference
 import numpy as np
@@ -75,6 +76,13 @@ def backproject(depth, rays, labels, ignored=(255, 65535), dynamic=(), min_depth
                 points.append((float(rays[v][u][0]) * d, float(rays[v][u][1]) * d, d))
                 ids.append(label)
     return points, ids
+
+
+def auto_stride(depth, focal, voxel_size, min_depth=0.1, max_depth=200.0):
+    """Section 13: the stride that memory.stride 0 stands for; depth as in backproject()."""
+    valid = [float(d) for row in depth for d in row
+             if math.isfinite(d) and d > 0 and min_depth <= d <= max_depth]
+    return max(1, math.floor(focal * voxel_size / (3 * statistics.median(valid)))) if valid else 1
 
 
 def countable(label):

@@ -49,7 +49,8 @@ class Expected:
         for f in frames:
             points, ids = ref.backproject(
                 f.depth, f.camera.rays, f.labels, m.ignore_labels, self.dynamic, m.min_depth,
-                m.max_depth, m.stride)
+                m.max_depth, m.stride or ref.auto_stride(
+                    f.depth, f.camera.K[0, 0], m.voxel_size, m.min_depth, m.max_depth))
             self.memory.add(ref.observe(points, ids, f.T_map_camera, m.voxel_size, m.min_pixels,
                                         config.map.origin), f.stamp, ids, f.sensor, f.T_map_camera)
         voxel_methods = [name for name in (*methods, config.refine.method)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+import functools
 
 import numpy as np
 from persem_ros.core.frame.images import placed, points
 from persem_ros.core.frame.observe import observe
 from persem_ros.core.frame.render import render, render_map, voxel_image, voxel_image_of
 from persem_ros.core.frame.smoothing import EmaImages
+from persem_ros.core.frame.stride import thinned
 from persem_ros.core.jit import keep_memory, mark_complete
 from persem_ros.core.memory.capture import dump
 from persem_ros.core.memory.changes import Changes
@@ -22,9 +24,10 @@ from persem_ros.frames import Frame, pinhole
 from persem_ros.settings.config import Memory, METHODS, Refine
 
 
+@functools.cache
 def warm_up() -> None:
     """
-    Compile all kernels of the core, or load them from the cache.
+    Compile all kernels of the core, or load them from the cache; once a process.
 
     The first time takes up to 20 s, later ones well below a second (core.jit.Announcement says
     so to the user). Besides it tells the C library to keep freed memory (keep_memory).
@@ -40,6 +43,7 @@ def warm_up() -> None:
         seen_points, ids = points(frame, Memory())
         seen = observe(seen_points, ids, frame.T_map_camera, memory.voxel_size, stamp=k)
         memory.add(seen)
+    thinned(frame, Memory(stride=0))
     for method in METHODS:
         label(memory, method, Refine())
     refine(memory, Refine())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 import math
 from typing import Any, TYPE_CHECKING
 
@@ -28,7 +27,6 @@ class Emptiness:
 
     def __init__(self, settings: Memory) -> None:
         self._settings = settings
-        self._every = replace(settings, stride=1)
         self._low, self._high = math.inf, -math.inf     # of the depths that are measurements
         self._near = self._in_range = self._labelled = self._both = False
         self._ids = set()
@@ -44,7 +42,7 @@ class Emptiness:
             self._near |= bool((depth < settings.min_depth).any())
         inside = measured & (settings.min_depth <= frame.depth) \
             & (frame.depth <= settings.max_depth)
-        known = counted(labels, self._every) >= 0
+        known = counted(labels, settings) >= 0
         self._in_range |= bool(inside.any())
         self._labelled |= bool(known.any())
         self._both |= bool((inside & known).any())
@@ -73,8 +71,8 @@ class Emptiness:
                     'the images of different places?')
         if settings.min_pixels > 1:
             return (f'no voxel was seen by memory.min_pixels {settings.min_pixels} pixels of a '
-                    f'frame (memory.stride is {settings.stride})')
-        return (f'no pixel of those that memory.stride {settings.stride} leaves has depth and '
+                    f'frame (memory.stride is {_stride(settings)})')
+        return (f'no pixel of those that memory.stride {_stride(settings)} leaves has depth and '
                 'a label that counts, or positions and depths are of no place (a million voxels '
                 'away)')
 
@@ -88,6 +86,10 @@ class Emptiness:
         if self._high < self._settings.min_depth:
             return f', or --set memory.min_depth={_down(self._low)}'
         return ''
+
+
+def _stride(settings: Memory) -> str:
+    return str(settings.stride or '0, auto')
 
 
 def _up(metres: Any) -> Any:

@@ -7,6 +7,7 @@ import math
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
+from persem_ros.core.frame.stride import stride_of
 
 if TYPE_CHECKING:
     from persem_ros.core.memory.voxel_memory import VoxelMemory
@@ -45,7 +46,8 @@ class VoxelFit:
         if len(depth):
             middle = float(np.median(depth))
             self._depths.append(middle)
-            self._footprints.append(settings.stride * middle / float(frame.camera.K[0, 0]))
+            self._footprints.append(
+                stride_of(frame, settings) * middle / float(frame.camera.K[0, 0]))
 
     def sentences(self, memory: VoxelMemory) -> Iterator[Any]:
         """Yield what there is to say of the voxels of a core.memory.voxel_memory.VoxelMemory."""

@@ -56,7 +56,9 @@ class Memory:
     voxel_size: float = setting(0.5, 'edge of a voxel', 'm', 1e-3, 1e3, live=False)
     min_depth: float = setting(0.1, 'nearer measurements are ignored', 'm', 0.0, 1e5)
     max_depth: float = setting(200.0, 'farther measurements are ignored', 'm', 0.0, 1e5)
-    stride: int = setting(1, 'integrate every n-th pixel of every n-th row', 'pixels', 1, 64)
+    stride: int = setting(
+        1, 'integrate every n-th pixel of every n-th row; 0: auto, as many as leave a voxel three '
+        'pixels wide at the median depth', 'pixels', 0, 64)
     min_pixels: int = setting(1, 'pixels that make an observation of a voxel', 'pixels', 1, 10000)
     ignore_labels: tuple[Any, ...] = setting((255, 65535), 'ids that are not observations')
     dynamic_labels: tuple[Any, ...] = setting(

@@ -8,6 +8,7 @@ import numpy as np
 from persem_ros.core import jit
 from persem_ros.core.frame.images import placed, points
 from persem_ros.core.frame.observe import place
+from persem_ros.core.frame.stride import median_depth, stride_of, thinned
 from persem_ros.errors import PersemError
 from persem_ros.frames import Frame, pinhole
 from persem_ros.settings.config import Memory
@@ -36,12 +37,15 @@ def counted(frame, settings):
 
 def expected(frame, settings):
     """Return what the reference makes of the same frame."""
+    stride = settings.stride or ref.auto_stride(
+        frame.depth, frame.camera.K[0, 0], settings.voxel_size, settings.min_depth,
+        settings.max_depth)
     return ref.backproject(frame.depth, frame.camera.rays, frame.labels,
                            settings.ignore_labels, settings.dynamic_labels,
-                           settings.min_depth, settings.max_depth, settings.stride)
+                           settings.min_depth, settings.max_depth, stride)
 
 
-@given(seeds, st.integers(1, 12), st.integers(1, 12), st.integers(1, 4),
+@given(seeds, st.integers(1, 12), st.integers(1, 12), st.integers(0, 4),
        st.sampled_from([(255, 65535), (0,), (-1,), (65534, 3, 70000)]),
        st.sampled_from([(-1,), (2, 5), (65533,)]))
 @examples(max_examples=150)
@@ -53,7 +57,7 @@ def test_random_frames(seed, h, w, stride, ignored, dynamic):
     frame = frame_of(rng.choice(IDS + NO_IDS + (255,), (h, w)), depth)
     settings = replace(Memory(), min_depth=0.5, max_depth=10.0, stride=stride,
                        ignore_labels=ignored, dynamic_labels=dynamic)
-    assert counted(frame, settings) == expected(frame, settings)
+    assert counted(thinned(frame, settings), settings) == expected(frame, settings)
     # Placing pixels without their points is only a short cut.
     frame = replace(frame, T_map_camera=pose(rng, 40.0))
     for voxel_size, origin in ((0.5, (0.0, 0.0, 0.0)), (0.03, (7.0, -300.0, 0.1))):
@@ -113,3 +117,40 @@ def test_the_same_with_another_number_of_threads_and_layout():
     finally:
         jit.set_threads(before)
     assert len(set(results)) == 1
+
+
+@given(seeds, st.integers(1, 40), st.sampled_from([1e-3, 1.0, 1e4]), st.booleans())
+@examples(max_examples=100)
+def test_the_median_depth_is_numpys(seed, n, scale, tied):
+    rng = np.random.default_rng(seed)
+    depth = scale * (rng.integers(1, 4, (n, 5)).astype(float) if tied else rng.exponential(
+        size=(n, 5)))
+    chosen = rng.random(depth.shape) < 0.3
+    depth[chosen] = rng.choice(NO_DEPTHS, chosen.sum())
+    low, high = 0.5 * scale, 3.0 * scale
+    inside = depth[(depth >= low) & (depth <= high)]
+    assert median_depth(depth, low, high) == (np.median(inside) if len(inside) else 0.0)
+
+
+@pytest.mark.parametrize('focal, depth, size, stride', [
+    (400.0, 60.0, 0.5, 1), (1900.0, 60.0, 0.5, 5), (1900.0, 60.0, 0.1, 1), (300.0, 10.0, 0.1, 1),
+    (300.0, 10.0, 0.3, 3), (300.0, np.nan, 0.5, 1)])
+def test_auto_leaves_a_voxel_three_pixels(focal, depth, size, stride):
+    frame = frame_of(np.zeros((20, 30)), np.full((20, 30), depth), focal)
+    settings = replace(Memory(), stride=0, voxel_size=size)
+    assert stride_of(frame, settings) == stride
+    assert thinned(frame, settings).depth.shape == (-(-20 // stride), -(-30 // stride))
+
+
+def test_auto_takes_all_points_of_a_cloud():
+    frame = replace(frame_of(np.zeros((1, 9)), np.ones((1, 9)), 1e4), points=np.ones((1, 9, 3)))
+    assert thinned(frame, replace(Memory(), stride=0)) is frame
+    assert thinned(frame, replace(Memory(), stride=2)).points.shape == (1, 5, 3)
+
+
+def test_weights_and_labels_of_another_size_are_thinned_on_the_grid_of_the_depth():
+    labels = np.arange(64).reshape(8, 8)
+    frame = replace(frame_of(labels, np.ones((4, 4))), weights=np.uint32(10 * labels))
+    thin = thinned(frame, replace(Memory(), stride=2))
+    assert thin.labels.tolist() == [[9, 13], [41, 45]]
+    assert thin.weights.tolist() == [[90, 130], [410, 450]]

@@ -23,6 +23,7 @@ from persem_ros.core.refine.job import abandon, begin, label, refine
 from persem_ros.core.refine.regions import regions
 from persem_ros.core.frame.render import filled, render, voxel_image, voxel_image_of
 from persem_ros.core.frame.smoothing import EmaImages
+from persem_ros.core.frame.stride import thinned
 from persem_ros.frames import Frame, pinhole
 
 rng = np.random.default_rng(0)
@@ -49,7 +50,8 @@ for shape in ((4, 6), (240, 320), (2, 2)):
         h, w = depth.shape
         stamp += 1
         frame = Frame(stamp, labels, depth, pinhole(w, h, 50, 50, w / 2, h / 2))
-        placed, ids = points(frame, Memory(stride=1 + stamp % 2))
+        thinned(frame, Memory(stride=0))
+        placed, ids = points(frame, Memory())
         seen = observe(placed, ids, frame.T_map_camera.astype(np.float32), 0.3, stamp=stamp)
         memory.add(seen)
         shown = voxel_image(memory, seen, depth.shape)

@@ -36,7 +36,7 @@ def frames_of(seed, count=5, scale=1):
 
 settings = st.fixed_dictionaries({
     'memory.voxel_size': st.sampled_from([0.1, 0.5, 2.0]),
-    'memory.stride': st.integers(1, 3),
+    'memory.stride': st.integers(0, 3),
     'memory.min_pixels': st.integers(1, 3),
     'memory.max_depth': st.sampled_from([0.9, 200.0]),
     'memory.ignore_labels': st.sampled_from([[255, 65535], [0], [-1, 2], [-1]]),

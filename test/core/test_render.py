@@ -9,6 +9,7 @@ from persem_ros.core import jit
 from persem_ros.core.frame.images import points
 from persem_ros.core.frame.observe import observe, place
 from persem_ros.core.frame.render import filled, nearest, render, voxel_image, voxel_image_of
+from persem_ros.core.frame.stride import thinned
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.frames import Frame, pinhole, UNKNOWN
 from persem_ros.settings.config import Memory
@@ -28,12 +29,13 @@ def world(rng, shape, settings, frames=4):
         depth[chosen] = rng.choice([0.0, np.nan, np.inf, 0.05, 9.0], chosen.sum())
         frame = Frame(stamp, rng.choice(IDS + NO_IDS + (255,), shape).astype(np.int32), depth,
                       camera, T)
-        placed, ids = points(frame, settings)
-        seen = observe(placed, ids, T, settings.voxel_size, settings.min_pixels, memory.origin,
-                       stamp)
+
+        def seen(frame):
+            return observe(*points(frame, settings), T, settings.voxel_size, settings.min_pixels,
+                           memory.origin, stamp)
         if stamp < frames - 1:
-            memory.add(seen)
-    return memory, frame, placed, seen
+            memory.add(seen(thinned(frame, settings)))
+    return memory, frame, points(frame, settings)[0], seen(frame)
 
 
 def by_number(memory, labels):

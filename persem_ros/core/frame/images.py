@@ -23,7 +23,7 @@ def points(frame: Frame, settings: Memory) -> tuple[NDArray[np.float64], NDArray
     frame : persem_ros.frames.Frame
         Labels, depth and camera.
     settings : persem_ros.settings.config.Memory
-        Depth range, stride, ignored and dynamic labels.
+        Depth range, ignored and dynamic labels.
 
     Returns
     -------
@@ -148,10 +148,6 @@ def counted(labels: NDArray[np.int32], settings: Memory) -> NDArray[np.int32]:
     labels = np.require(labels, np.int32, 'CW')
     result = np.empty(labels.shape, np.int32)
     split(_count, labels.shape[0], labels, table, result, grain=64)
-    if settings.stride > 1:
-        left_out = np.ones(labels.shape, bool)
-        left_out[::settings.stride, ::settings.stride] = False
-        result[left_out] = IGNORED
     return result
 
 

@@ -240,7 +240,7 @@ def one_thread() -> None:
 
 def _everything(settings: Memory) -> Memory:
     """Return the settings that say which ids count, for whole images."""
-    return replace(settings, stride=1, dynamic_labels=(-1,))
+    return replace(settings, dynamic_labels=(-1,))
 
 
 def _legend(recording: Recording, task: Task) -> Legend:
