@@ -340,3 +340,10 @@ def test_a_long_recording_whose_heads_are_not_kept(tmp_path, storage, compress, 
     monkeypatch.setattr('persem_ros.inputs.recording.source.REMEMBERED', 3)
     path = bags.write(tmp_path / 'bag', storage=storage, compress=compress)
     assert read(path) == (stamps(*range(5)), [])
+
+
+def test_a_folder_of_git_lfs_pointers_says_so(tmp_path):
+    (tmp_path / 'flight').mkdir()
+    (tmp_path / 'flight' / 'flight_0.mcap').write_text(
+        'version https://git-lfs.github.com/spec/v1\noid sha256:abc\nsize 123\n')
+    assert "'git lfs pull' fetches it" in refused(tmp_path / 'flight')

@@ -93,7 +93,7 @@ def found(path: Path) -> Found:
     for tail in BESIDE:
         if path.name.endswith(tail) and path.with_name(path.name[:-len(tail)]).exists():
             return found(path.with_name(path.name[:-len(tail)]))
-    _check_file(path)
+    check_file(path)
     return Found(path, [path])
 
 
@@ -172,12 +172,12 @@ def _below(folder: Path) -> Found:
                           'one input in several recordings, or A B for one after the other')
     old = next(iter(sorted(folder.glob('*.bag'))), None)
     if old is not None:
-        _check_file(old)
+        check_file(old)
     what = f'{folder} is no recording: it is a folder without {metadata.NAME}, .mcap or .db3 files'
     raise PersemError(f'{what}; {WANTED}{_to_make_one(folder)}')
 
 
-def _check_file(path: Path) -> None:
+def check_file(path: Path) -> None:
     """Refuse a file that is no storage file, by what it begins with; let pass what may be one."""
     with path.open('rb') as stream:
         head = stream.read(64)

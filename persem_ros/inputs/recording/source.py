@@ -226,6 +226,8 @@ class Source:
                 opened.append(file)
                 self._files.append(file)
         if not opened:
+            for path in found.files:
+                finding.check_file(path)
             why = self._notes[-1] if self._notes else 'no file'
             raise PersemError(f'{found.path} cannot be read as a recording ({why}); '
                               f'{finding.WANTED}')
