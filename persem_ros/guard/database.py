@@ -8,6 +8,7 @@ What an honest file gives is bounded by its size, so that is the bound.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+import os
 from pathlib import Path
 import sqlite3
 from typing import Any
@@ -35,7 +36,7 @@ def opened(path: str | Path, check_same_thread: bool = True, living: bool = Fals
     """
     path = Path(path)
     rights = 'mode=ro' if living and held_by(path) > path.stat().st_size else 'mode=ro&immutable=1'
-    db = sqlite3.connect(f'file:{quote(str(path.resolve()))}?{rights}', uri=True,
+    db = sqlite3.connect(f'file:{quote(os.fsencode(path.resolve()))}?{rights}', uri=True,
                          check_same_thread=check_same_thread)
     harden(db)
     limit_steps(db, held_by(path) if living else path.stat().st_size)

@@ -27,7 +27,8 @@ import time
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent)]
 LONGEST = 20.0          # s of processor time for one input
-PATIENCE = 60.0         # s after which a worker is killed
+MOST_TIME = 60.0        # s of processor time after which one ends a worker
+PATIENCE = 900.0        # s after which a worker that does nothing any more is killed
 MOST = 2 << 30          # bytes of a worker
 TURN = 120.0            # s for a worker
 
@@ -95,6 +96,7 @@ class Worker:
             kind = trial.kind_of(number)
             os.pwrite(file, f'{kind} {number}\n{"":40}'.encode(), 0)
             begin = time.process_time()     # other processes do not make an input slower
+            signal.setitimer(signal.ITIMER_PROF, MOST_TIME)     # SIGPROF: the end
             outcome, what = trial.run(kind, number)
             took = time.process_time() - begin
             counts[f'{kind} {outcome}'] += 1

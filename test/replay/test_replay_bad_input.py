@@ -334,12 +334,19 @@ def test_a_folder_that_cannot_be_made_leaves_no_parents(persem, recording, tmp_p
     assert list((tmp_path / 'a').iterdir()) == []       # it was there before and stays
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason='root may write anywhere')
-def test_a_folder_that_cannot_be_written(persem, recording, tmp_path):
-    out = tmp_path / 'out'
-    out.mkdir()
-    out.chmod(0o500)
-    refused(persem(recording), 'cannot write', 'Permission denied')
+def test_a_file_system_that_is_read_only(recording, tmp_path):
+    # in a name space of its own, so that root and others may mount
+    mount = ['unshare', '-rm', 'sh', '-c', 'mount -t tmpfs tmpfs "$0" && '
+             'mount -o remount,ro "$0" && exec "$@"', str(tmp_path)]
+    try:
+        subprocess.run([*mount, 'true'], check=True, capture_output=True)
+    except (OSError, subprocess.CalledProcessError):
+        pytest.skip('nothing can be mounted here: unshare -rm fails')
+    done = subprocess.run([*mount, sys.executable, '-m', 'persem_ros', 'replay', str(recording),
+                           '--out', str(tmp_path / 'out')], cwd=ROOT, capture_output=True,
+                          text=True)
+    assert (done.returncode, done.stderr) == (
+        1, f'persem: cannot write to {tmp_path / "out"}: Read-only file system\n')
 
 
 def test_a_file_system_that_takes_no_folders(persem, recording):

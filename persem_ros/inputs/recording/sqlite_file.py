@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Collection, Iterator
 from contextlib import closing, suppress
+import os
 from pathlib import Path
 import shutil
 import sqlite3
@@ -213,7 +214,7 @@ class SqliteFile:
 
 
 def _opened(path: Path, mode: str) -> sqlite3.Connection:
-    base = sqlite3.connect(f'file:{quote(str(path.absolute()))}?{mode}', uri=True,
+    base = sqlite3.connect(f'file:{quote(os.fsencode(path.absolute()))}?{mode}', uri=True,
                            check_same_thread=False)
     harden(base)
     limit_steps(base, path.stat().st_size)

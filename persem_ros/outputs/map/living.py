@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 import logging
+import os
 from pathlib import Path
 import sqlite3
 import threading
@@ -227,7 +228,7 @@ class LivingMap:
 
 def _connected(path: Path) -> sqlite3.Connection:
     """Return a connection that may write."""
-    db = sqlite3.connect(f'file:{quote(str(path.resolve()))}?mode=rw', uri=True,
+    db = sqlite3.connect(f'file:{quote(os.fsencode(path.resolve()))}?mode=rw', uri=True,
                          isolation_level=None, check_same_thread=False)
     harden(db)
     check_tables(db, NAMES)
