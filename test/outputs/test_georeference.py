@@ -11,6 +11,7 @@ from persem_ros.inputs.recording.fixes import read_fixes
 from persem_ros.outputs.export.place import Place, place_of
 from persem_ros.outputs.export.source import MapSource
 from persem_ros.outputs.map import store
+from persem_ros.outputs.map.lock import WriterLock
 from persem_ros.outputs.recording.writer import RecordingWriter
 from persem_ros.settings.config import Config
 import pytest
@@ -133,6 +134,17 @@ def test_by_hand_and_refusals(tmp_path, capsys):
     status, out, _ = run(capsys, path, '--crs', 'EPSG:25832', '--shift', 100, 200, 3, '--yaw', 90)
     assert status == 0 and place_of(MapSource(path)) == Place('EPSG:25832', 100, 200, 3, 90)
     assert [p.name for p in Path(tmp_path).glob('m.persem*')] == ['m.persem']
+
+
+def test_a_map_that_is_being_written_is_left_alone(tmp_path, capsys):
+    path = tmp_path / 'm.persem'
+    flight(path)
+    lock = WriterLock(path)
+    try:
+        status, _, err = run(capsys, path, '--crs', 'EPSG:25832')
+    finally:
+        lock.close()
+    assert status == 1 and 'is being written by' in err and not place_of(MapSource(path)).crs
 
 
 def test_a_quarter_turn_is_exact():

@@ -15,6 +15,7 @@ from persem_ros.errors import PersemError
 from persem_ros.guard.database import harden
 from persem_ros.outputs.export.libraries import needed
 from persem_ros.outputs.export.place import Place, projected
+from persem_ros.outputs.map.lock import WriterLock
 from persem_ros.outputs.map.rows import about_rows, crc_of, ORDER
 from persem_ros.outputs.map.store import reading
 from persem_ros.settings import config_file
@@ -137,7 +138,8 @@ def enter(path: Path | str, place: Place) -> None:
             raise PersemError(f'{path}: a map file of schema 1; bring it up first: persem replay '
                               'or the node with map.load and map.save do')
     try:
-        with closing(sqlite3.connect(path, isolation_level=None)) as db:
+        with closing(WriterLock(path)), \
+                closing(sqlite3.connect(path, isolation_level=None)) as db:
             harden(db)
             db.execute('BEGIN IMMEDIATE')
             small: dict[str, list[Any]] = {

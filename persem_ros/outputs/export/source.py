@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.memory.pools import SIDE
 from persem_ros.errors import PersemError
-from persem_ros.guard.database import checked
+from persem_ros.guard.database import checked, held_by
 from persem_ros.outputs.map import schema1
 from persem_ros.outputs.map.rows import about_of, columns_of, KINDS, matrices, ORDER
 from persem_ros.outputs.map.store import reading
@@ -101,7 +101,7 @@ class MapSource:
             kinds: dict[str, Any] = dict(schema1.KINDS if self._first else KINDS)
             small = {table: list(checked(
                 db.execute(f'SELECT * FROM {table} ORDER BY {ORDER[table]}'), kinds[table],
-                self.path.stat().st_size)) for table in ORDER if table in kinds and
+                held_by(self.path))) for table in ORDER if table in kinds and
                 table != 'blocks'}
             about = about_of(small)
             self.stamps = np.array([row[4] for row in small['frames']], np.int64)
@@ -140,7 +140,7 @@ class MapSource:
             rows: list[Any] = []
             before: tuple[int, ...] = ()
             for row in checked(db.execute('SELECT * FROM blocks ORDER BY x, y, z'), kinds,
-                               self.path.stat().st_size):
+                               held_by(self.path)):
                 if before == row[:3]:
                     raise ValueError('a block twice')
                 before = row[:3]
