@@ -118,7 +118,8 @@ def places_of(memory: Any, taken: Any, settings: Any) -> Places:
         if len(rows):
             kept[taken.number[rows]] = shapes_of(blocks, relief.bits, taken.block[rows],
                                                  taken.cell[rows], up.k)
-        return Places(index, relief.tile[taken.block], kept[taken.number], relief.ground)
+        tile = relief.tile[taken.block].astype(np.int64)
+        return Places(index, tile, kept[taken.number], relief.ground)
     first = np.flatnonzero(np.diff(taken.block, prepend=-1))        # voxels come block by block
     tiles, tile = tiles_of(upright(blocks['index'][taken.block[first]], up))
     tile = np.repeat(tile, np.diff(np.append(first, len(taken.block))))
