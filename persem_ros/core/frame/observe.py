@@ -59,7 +59,7 @@ class Observations:
     T_map_sensor: np.ndarray
     sensor: str
     offsets: np.ndarray = None
-    T_body_sensor: np.ndarray = None
+    T_body_sensor: np.ndarray | None = None
 
 
 def observe(points: NDArray[np.float64], labels: NDArray[np.int32],

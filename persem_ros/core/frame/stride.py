@@ -52,7 +52,7 @@ def median_depth(depth: NDArray[np.float64], low: float, high: float) -> float:
     The same as NumPy's, which takes ten times as long: only the bin in the middle is sorted.
 
     """
-    depth = np.require(depth, np.float64, 'CW')
+    depth = np.require(depth, np.float64, ['C', 'W'])
     until = np.cumsum(bin_counts(depth, float(low), float(high)))
     n = int(until[-1])
     if n == 0:

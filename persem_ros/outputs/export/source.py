@@ -138,7 +138,7 @@ class MapSource:
         with reading(self.path) as (db, first):
             kinds: Any = (schema1.KINDS if first else KINDS)['blocks']
             rows: list[Any] = []
-            before: tuple[int, ...] = ()
+            before: Any = ()
             for row in checked(db.execute('SELECT * FROM blocks ORDER BY x, y, z'), kinds,
                                held_by(self.path)):
                 if before == row[:3]:

@@ -66,7 +66,7 @@ class StoredMap:
     settings: str
     legend: Legend
 
-    def memory(self, config: Config | None = None) -> VoxelMemory | None:
+    def memory(self, config: Config | None = None) -> VoxelMemory:
         """
         Return a VoxelMemory that goes on exactly where the saved one stood.
 
