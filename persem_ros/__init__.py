@@ -6,9 +6,7 @@ label images + depth + poses -> observe -> memory -> refine -> render -> stable 
 """
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
+TYPE_CHECKING = False     # not typing's: signals are handled before anything else is imported
 if TYPE_CHECKING:
     from pathlib import Path
 

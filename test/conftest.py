@@ -1,13 +1,18 @@
-"""What all tests share: hypothesis profiles, no ROS by accident."""
+"""What all tests share: hypothesis profiles, no ROS by accident, Ctrl-C as at a terminal."""
 
 import importlib.util
 import os
 from pathlib import Path
+import signal
 
 from hypothesis import HealthCheck, settings
 
 ROOT = Path(__file__).resolve().parents[1]
 HAVE_ROS = importlib.util.find_spec('rclpy') is not None
+
+# What a shell starts in the background ignores Ctrl-C and hands that on to its children, of which
+# our tests ask how they end.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Node tests need rclpy; without it they are not even imported, and the last line says so.
 collect_ignore = [] if HAVE_ROS else ['ros']

@@ -8,7 +8,7 @@ import core_worlds as cw
 import numpy as np
 import old_maps
 from persem_ros.cli import main
-from persem_ros.core.memory.dump import dump
+from persem_ros.core.memory.capture import dump
 from persem_ros.core.refine.job import refine
 from persem_ros.errors import PersemError
 from persem_ros.outputs.export.faces import outer_faces

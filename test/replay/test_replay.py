@@ -523,8 +523,10 @@ def test_ids_out_of_range_are_ignored_and_counted(tmp_path, caplog):
         out.image('semantic/image', at, 'camera', ids, '32SC1')
 
     result = run(written(tmp_path / 'ids', images, frames=4), tmp_path / 'out', config_of())
-    assert [r.getMessage() for r in caplog.records] == [
-        '12 pixels in 4 frames have ids below 0 or above 65534; they were ignored']
+    advice, counted = [r.getMessage() for r in caplog.records]
+    assert 'above 65534' in advice and '--set labels.divisor=1000' in advice
+    assert counted == (
+        '12 pixels in 4 frames have ids below 0 or above 65534; they were ignored')
     assert result['frames'] == {'used': 4, 'dropped': {}}
     histories = replays.histories(tmp_path / 'out' / 'map.persem')[0]
     assert {c for history in histories.values() for c, _, _ in history} == {3}

@@ -97,18 +97,19 @@ class LivingMap:
         """Return the indices of all blocks, (n, 3) int32, ascending."""
         # What is no place of a block is passed over: numbers beyond int32, text, fractions.
         ours = ' AND '.join(f"{x} BETWEEN ?1 AND ?2 AND typeof({x}) = 'integer'" for x in 'xyz')
-        rows = self._reader.execute(f'SELECT x, y, z FROM blocks WHERE {ours} ORDER BY x, y, z',
-                                    (-FARTHEST_BLOCK, FARTHEST_BLOCK)).fetchall()
+        rows = self._reader.execute(
+            f'SELECT DISTINCT x, y, z FROM blocks WHERE {ours} ORDER BY x, y, z',
+            (-FARTHEST_BLOCK, FARTHEST_BLOCK)).fetchall()
         return np.array(rows, np.int32).reshape(-1, 3)
 
     def read(self, index: NDArray[np.int32]) -> Blocks:
         """Return those of the blocks with the given, ascending, indices (n, 3) that are there."""
         try:
-            rows = [row for key in index.tolist() for row in self._reader.execute(
-                f'SELECT * FROM blocks WHERE {PLACE}', key)
-                if row[:3] not in self.damaged]
+            places = [self._reader.execute(f'SELECT * FROM blocks WHERE {PLACE}', key).fetchall()
+                      for key in index.tolist() if tuple(key) not in self.damaged]
         except sqlite3.Error as error:
             raise PersemError(f'{self.path} cannot be read ({error})') from error
+        rows = [found[0] for found in places if len(found) == 1 or self._once(found)]
         try:
             return self._checked(rows)
         except DAMAGED:
@@ -220,10 +221,20 @@ class LivingMap:
             self._checked([row])
             return True
         except DAMAGED as error:
-            self.damaged.add(tuple(row[:3]))
-            log.warning('%s: block %s is damaged (%s) and left out; the rest of the map lives',
-                        self.path, row[:3], error)
+            self._leave_out(row, error)
             return False
+
+    def _once(self, found: list[tuple[Any, ...]]) -> bool:
+        """Return False: a place is empty, or holds several blocks, which is said once."""
+        if found:
+            self._leave_out(found[0], 'a block twice')
+        return False
+
+    def _leave_out(self, row: tuple[Any, ...], why: object) -> None:
+        """Read the block of this row no more."""
+        self.damaged.add(tuple(row[:3]))
+        log.warning('%s: block %s is damaged (%s) and left out; the rest of the map lives',
+                    self.path, row[:3], why)
 
 
 def _connected(path: Path) -> sqlite3.Connection:
