@@ -159,7 +159,7 @@ class Announcement:
     def __enter__(self) -> Announcement:
         """Start the clock, unless the kernels are in the cache and only have to be loaded."""
         self._timer = threading.Timer(1.5, log.warning, [
-            'compiling the kernels, once (up to 20 s); later starts load them from a cache'])
+            'compiling the kernels, once (about a minute); later starts load them from a cache'])
         self._timer.daemon = True
         if not Path(cache_folder(), COMPLETE).exists():
             self._timer.start()

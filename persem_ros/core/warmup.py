@@ -29,8 +29,8 @@ def warm_up() -> None:
     """
     Compile all kernels of the core, or load them from the cache; once a process.
 
-    The first time takes up to 20 s, later ones well below a second (core.jit.Announcement says
-    so to the user). Besides it tells the C library to keep freed memory (keep_memory).
+    The first time takes about a minute, later ones well below a second (core.jit.Announcement
+    says so to the user). Besides it tells the C library to keep freed memory (keep_memory).
 
     """
     keep_memory()

@@ -125,7 +125,7 @@ class Worker(threading.Thread):
         """End the thread after the frame that it is at."""
         self._ending = True
         self._wake()
-        while self.is_alive() and not self.ready.is_set():      # compiling takes up to 20 s
+        while self.is_alive() and not self.ready.is_set():      # compiling takes a minute
             ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(self.ident),
                                                        ctypes.py_object(_Stopped))
             self.join(0.1)
