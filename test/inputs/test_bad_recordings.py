@@ -178,6 +178,23 @@ def test_a_topic_that_is_used_is_not_offered_for_something_else(tmp_path):
     assert 'no other topic of that kind' in text
 
 
+def test_colours_that_are_named_as_labels_are_offered_where_no_ids_are(tmp_path):
+    def images(path, *names):
+        with RecordingWriter(path) as out:
+            out.image('/depth/image', bags.stamp(0), 'camera', bags.depth(0), '32FC1')
+            for name, encoding, image in names:
+                out.image(name, bags.stamp(0), 'camera', image, encoding)
+        return refused(path)
+
+    colours = np.zeros((12, 16, 3), np.uint8)
+    text = images(tmp_path / 'a', ('/segmenter/colours', 'rgb8', colours),
+                  ('/camera/color/image_raw', 'rgb8', colours))
+    assert '--set topics.labels=/segmenter/colours' in text and 'color/image_raw' not in text
+    text = images(tmp_path / 'b', ('/segmenter/colours', 'rgb8', colours),
+                  ('/net/ids', 'mono8', colours[:, :, 0]))
+    assert '--set topics.labels=/net/ids' in text and '/segmenter/' not in text
+
+
 def test_a_topic_without_messages_is_refused(tmp_path):
     path = written(tmp_path / 'bag', lambda kind, i, msg: None if kind == 'depth' else msg)
     assert 'no depth images' in refused(path)

@@ -34,6 +34,7 @@ def reached(memory: Any, settings: Any, everywhere: bool,
     memory : core.memory.voxel_memory.VoxelMemory
         Its relief is brought up to date.
     settings : persem_ros.settings.config.Refine
+        Its up and geometry are read.
     everywhere : bool
         The whole map; else what the changes since the last refinement reach.
     also : ndarray, int64

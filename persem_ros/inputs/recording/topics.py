@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 from itertools import islice
+import re
 from shlex import quote
 from typing import Any, TYPE_CHECKING
 
@@ -33,6 +34,8 @@ OPTIONAL = {'truth': 'true label images', 'color': 'colour images',
             'points': 'point clouds', 'labels_info': "camera infos of the labels' own camera"}
 LABELS_INFO, POINTS = 'labels_info', clouds.TYPE
 TRANSPORTS = ('compressed', 'compressedDepth')
+# Colour images are offered as labels where their topic's name says so and none holds ids.
+NAMED = re.compile('label|segment|semantic|class|mask|annot', re.IGNORECASE)
 SHOWN = 6           # candidates in one refusal
 TRIED = 10          # messages of a topic that are decoded to find a good one
 
@@ -113,7 +116,10 @@ class Choice:
             return fitting
         known = messages.DEPTH if kind == 'depth' else messages.LABELS
         encodings = self.encodings()
-        fitting = [t for t in fitting if _encodes(encodings.get(t.name, ''), kind, known)]
+        painted = [t for t in fitting if kind != 'depth' and t.count and NAMED.search(t.name)
+                   and encodings.get(t.name) in messages.COLOR]
+        fitting = [t for t in fitting if _encodes(encodings.get(t.name, ''), kind, known)] \
+            or painted
         if kind != 'depth':     # 16UC1 may be either; nobody calls labels so
             fitting = [t for t in fitting if 'depth' not in t.name.lower()]
         return sorted(fitting, key=lambda t: ('depth' in t.name.lower()) != (kind == 'depth'))
