@@ -65,7 +65,8 @@ def write_bytes(path: Path | str, *parts: Any) -> None:
 
 def write_text(path: Path, text: str) -> None:
     """Write *text* as the file *path* (UTF-8), whole or not at all."""
-    write_bytes(path, text.encode('utf-8'))
+    # Names of files that the locale cannot decode go out as the bytes that they are.
+    write_bytes(path, text.encode('utf-8', 'surrogateescape'))
 
 
 def write_json(path: Path, value: dict[str, Any]) -> None:
