@@ -25,7 +25,8 @@ METHOD_TEXTS = {
     'raw2d': 'the input labels as they came',
     'ema2d': 'input labels smoothed over time in the image',
     'majority': 'the most evidence of each voxel',
-    'persem': 'anchored in histories, revised by trust, verified by context'}
+    'persem': 'anchored in histories, revised by trust, verified by context',
+    'geometry': 'what places of this height and shape are called here, and the neighbours'}
 
 
 def render(replay: Replay, result: dict[str, Any], frames: list[dict[str, Any]], ids: list[int],
