@@ -15,13 +15,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from persem_ros.core.memory.pools import ranges
 from persem_ros.core.refine.explain import explain
 from persem_ros.errors import PersemError
-from persem_ros.outputs.export.source import Choice, MapSource
+from persem_ros.outputs.export.source import Choice, labels_of, MapSource
 from persem_ros.outputs.map import store
 from persem_ros.outputs.map.cloud import SOURCES
 from persem_ros.outputs.map.explanation import explanation, of_file
-from persem_ros.settings.config import nearest
 
 LISTS = ('start', 'classes', 'probabilities')
 
@@ -169,12 +169,9 @@ class Map:
         MapSource.chunks).
 
         """
-        corners = None if box is None else tuple(float(x) for x in box)
-        if corners is not None and (len(corners) != 6 or not all(
-                low < high for low, high in zip(corners[:3], corners[3:]))):
-            raise PersemError('box: expected x0 y0 z0 x1 y1 z1 with x0 < x1, y0 < y1 and z0 < z1, '
-                              f'got {" ".join(f"{x:g}" for x in corners)}')
-        wanted = Choice(min_observations, corners, self._ids(classes), gone)
+        words = [classes] if isinstance(classes, (int, str, np.integer)) else classes
+        wanted = Choice(min_observations, None if box is None else tuple(float(x) for x in box),
+                        labels_of(words, self.legend), gone)
         for chunk in self._source.chunks(wanted):
             yield {'voxel': chunk['voxel'], 'xyz': self._source.centres(chunk['voxel']), **chunk}
 
@@ -223,17 +220,6 @@ class Map:
             raise PersemError(f'{self.path}: nothing was observed at {x:g} {y:g} {z:g} m')
         return place.astype(np.int32)
 
-    def _ids(self, classes: Iterable[int | str] | int | str) -> frozenset[int]:
-        """Return the ids of classes that are given by id or name."""
-        by_name = {name: c for c, name in self.classes.items()}
-        found = set()
-        for word in [classes] if isinstance(classes, (int, str, np.integer)) else classes:
-            if isinstance(word, str) and word not in by_name:
-                raise PersemError(f'classes: there is no class {word!r}{nearest(word, by_name)}; '
-                                  f'the map has {", ".join(list(by_name)[:20]) or "no legend"}')
-            found.add(by_name[word] if isinstance(word, str) else int(word))
-        return frozenset(found)
-
     @staticmethod
     def _joined(parts: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
         """Return parts as one, sorted by voxel index."""
@@ -244,16 +230,10 @@ class Map:
         length = np.concatenate([np.diff(part['start']) for part in parts])
         order = np.lexsort(whole['voxel'].T[::-1])
         start = np.concatenate([[0], np.cumsum(length)])
-        entries = np.repeat(start[:-1][order], length[order]) + _within(length[order])
+        entries = ranges(start[:-1][order], length[order])
         result = {name: column[order] for name, column in whole.items() if name not in LISTS}
         return {**result, 'start': np.concatenate([[0], np.cumsum(length[order])]),
                 **{name: whole[name][entries] for name in LISTS if name != 'start'}}
-
-
-def _within(length: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return 0 .. n - 1 for each n of *length*, one after the other."""
-    ends = np.cumsum(length)
-    return np.arange(int(ends[-1]) if len(ends) else 0) - np.repeat(ends - length, length)
 
 
 def _empty() -> dict[str, NDArray[Any]]:

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 def add_parser(subparsers: _SubParsersAction[Any]) -> None:
     """Add the sub-command and its own sub-commands."""
     parser = subparsers.add_parser(
-        'map', help='look into a map file, hand it on: info, query, export, georeference',
+        'map', help='look into a map file, hand it on: info, query, export, georeference, merge, '
+                    'forget',
         description='Looks into a map file (.persem) as a replay or ~/save_map leaves it.')
     actions = parser.add_subparsers(metavar='ACTION', required=True)
 

@@ -148,30 +148,10 @@ def _changed(source: MapSource, items: list[str]) -> Any:
 
 def _choice(args: Namespace, legend: Legend) -> Choice:
     """Return the Choice that the options make."""
-    from persem_ros.outputs.export.source import Choice
-    box = args.crop
-    if box and not all(low < high for low, high in zip(box[:3], box[3:])):
-        raise PersemError('--crop: expected X0 < X1, Y0 < Y1 and Z0 < Z1, got '
-                          f'{" ".join(f"{x:g}" for x in box)}')
-    return Choice(args.min_observations, tuple(box) if box else None,
-                  _labels(args.classes, legend))
-
-
-def _labels(text: str | None, legend: Legend) -> frozenset[int]:
-    """Return the ids of classes that are given by name or id."""
-    from persem_ros.settings.config import nearest
-    by_name = {legend.name(c): c for c in legend.ids}
-    found = set()
-    for word in filter(None, (part.strip() for part in (text or '').split(','))):
-        if word in by_name:
-            found.add(by_name[word])
-        elif word.isdigit() and int(word) < 65535:
-            found.add(int(word))
-        else:
-            raise PersemError(f'--classes: there is no class {word!r}{nearest(word, by_name)}; '
-                              'the map has '
-                              + (', '.join(list(by_name)[:20]) or 'no legend: give ids'))
-    return frozenset(found)
+    from persem_ros.outputs.export.source import Choice, labels_of
+    words = filter(None, (part.strip() for part in (args.classes or '').split(',')))
+    return Choice(args.min_observations, tuple(args.crop) if args.crop else None,
+                  labels_of(words, legend))
 
 
 def _check_free(args: Namespace, name: str, out: str) -> None:

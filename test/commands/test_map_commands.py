@@ -122,7 +122,7 @@ def test_export_refuses_nothing_to_export(capsys, wall, tmp_path):
     assert status == 1 and 'no voxel is left' in err and 'from 100.25 0.25 0.25' in err
     status, _, err = run(capsys, 'map', 'export', wall[0], '--ply', out, '--crop',
                          1, 1, 1, 0, 2, 2)
-    assert status == 1 and 'expected X0 < X1' in err
+    assert status == 1 and 'expected x0 y0 z0 x1 y1 z1 with x0 < x1' in err
     assert not out.exists()
     status, _, err = run(capsys, 'map', 'export', wall[0], '--ply', wall[0] / 'below' / 'a.ply')
     assert status == 1 and 'cannot write' in err

@@ -234,7 +234,12 @@ def test_a_damaged_block_is_named_and_the_rest_lives(tmp_path, caplog):
     assert f'block ({x}, {y}, {z}) is damaged (checksum' in caplog.text
     assert len(living.index()) == pager.memory.n_blocks + 1
     assert sum(refine_all(pager.memory, SETTINGS)) == pager.memory.n_voxels
+    for one in seen:            # its place is mapped anew: the file is whole again
+        pager.need_voxels(one.voxels)
+        pager.memory.add(one)
+    pager.save()
     living.close()
+    assert store.load(path).memory().n_voxels == pager.memory.n_voxels == living.voxels
 
 
 def test_other_voxels_and_other_files_are_refused(tmp_path):

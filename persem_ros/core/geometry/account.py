@@ -7,7 +7,7 @@ from typing import Any, Optional
 import numpy as np
 from persem_ros.core.geometry.dense import looks
 from persem_ros.core.geometry.labelling import SMOOTHED, with_ring
-from persem_ros.core.geometry.method import cells_of, groups_in, model_of, places_of
+from persem_ros.core.geometry.method import cells_at, groups_in, model_of, places_of
 from persem_ros.core.geometry.schedule import fit
 from persem_ros.core.geometry.shape import LEVELS
 from persem_ros.core.geometry.votes import take_votes
@@ -45,7 +45,7 @@ def account(memory: Any, taken: Any, number: int, settings: Any,
     votes = take_votes(memory, taken, constants.directions,
                        known=None if parameters is None else parameters.classes)
     places = places_of(memory, taken, settings)
-    cells = cells_of(places, constants.cell) if parameters is None else parameters.cells
+    cells = cells_at(places.ground, constants.cell) if parameters is None else parameters.cells
     groups = groups_in(places, cells, constants.cell)
     model = model_of(memory.m.blocks, taken, votes, groups, cells, constants)
     if parameters is None:

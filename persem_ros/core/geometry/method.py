@@ -80,7 +80,7 @@ def relabel(memory: Any, taken: Any, settings: Any,
     votes = take_votes(memory, taken, constants.directions, taken.relief is not None,
                        None if parameters is None else parameters.classes)
     places = places_of(memory, taken, settings)
-    cells = cells_of(places, constants.cell) if parameters is None else parameters.cells
+    cells = cells_at(places.ground, constants.cell) if parameters is None else parameters.cells
     model = model_of(memory.m.blocks, taken, votes, groups_in(places, cells, constants.cell),
                      cells, constants)
     if parameters is None:
@@ -97,11 +97,6 @@ def model_of(blocks: Any, taken: Any, votes: Votes, groups: Groups, cells: tuple
     """Return the form of the model that fits the number of classes."""
     form = Dense if len(votes.classes) <= MOST_DENSE else Sparse
     return form(blocks, taken, votes, groups, cells, constants)
-
-
-def cells_of(places: Places, cell: int) -> tuple[Cells, Cells]:
-    """Return the cells of a map, and those shifted by half of one."""
-    return cells_at(places.ground, cell)
 
 
 def cells_at(ground: Ground, cell: int) -> tuple[Cells, Cells]:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.memory.dump import (
     evidence_of_voxels, habits_of, MemoryDump, read_histories)
-from persem_ros.core.memory.pools import sparse_zeros
+from persem_ros.core.memory.pools import ranges, sparse_zeros
 from persem_ros.core.memory.voxel_memory import sort_order
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ class Capture:
         index = memory.m.blocks['index'][block[last]]
         order = sort_order(index)
         index, last = index[order], last[order]
-        rows = _ranges(start[last], counts[last])
+        rows = ranges(start[last], counts[last])
         joined = {name: np.concatenate([getattr(one, name) for one in slices])[rows]
                   for name in ('cell', 'records', 'posterior', 'dirty')}
         records = joined['records']
@@ -117,12 +117,13 @@ class Capture:
         self.close()
         session, starts, changes, seen_ids, rho, frames, habits, by = self._small
         return MemoryDump(
-            memory.voxel_size, memory.origin, memory.kept_history, session, index,
-            np.concatenate([[0], np.cumsum(counts[last])]), joined['cell'].astype(np.uint16),
+            index, np.concatenate([[0], np.cumsum(counts[last])]),
+            joined['cell'].astype(np.uint16),
             records['n'], records['switches'], records['label'], records['majority'],
             records['last'], records['first_label'], records['source'], joined['dirty'],
             records['gone'], joined['posterior'], *evidence, history_start, *history,
-            starts, changes, seen_ids, rho, frames, habits, by)
+            memory.voxel_size, memory.origin, memory.kept_history, session, starts, changes,
+            seen_ids, rho, frames, habits, by)
 
     def close(self) -> None:
         """Read nothing more of the map."""
@@ -160,18 +161,12 @@ def _copied(memory: VoxelMemory, blocks: NDArray[np.int64], counts: NDArray[np.i
                   *evidence_of_voxels(memory, number))
 
 
-def _ranges(start: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the numbers start[i] .. start[i] + counts[i] - 1 of all i in a row."""
-    ends = np.cumsum(counts)
-    return np.repeat(start - ends + counts, counts) + np.arange(ends[-1] if len(ends) else 0)
-
-
 def _evidence(slices: list[_Slice], rows: NDArray[np.int64],
               ) -> tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.float64]]:
     """Return start, classes and sums of the evidence of some rows of all slices."""
     counts = np.concatenate([np.diff(one.start) for one in slices])
     begin = np.concatenate([[0], np.cumsum(counts)])
     start = np.concatenate([[0], np.cumsum(counts[rows])])
-    entries = _ranges(begin[rows], counts[rows])
+    entries = ranges(begin[rows], counts[rows])
     return (start, np.concatenate([one.classes for one in slices])[entries],
             np.concatenate([one.sums for one in slices])[entries])

@@ -18,17 +18,14 @@ from persem_ros.core.memory.voxel_memory import VoxelMemory
 
 
 @dataclass(frozen=True, eq=False)
-class MemoryDump:
+class Blocks:
     """
-    Everything that a VoxelMemory knows.
+    Some blocks with their voxels.
 
     Blocks are sorted by index, voxels by cell within their block.
 
     Attributes
     ----------
-    voxel_size : float
-    origin : tuple of 3 floats
-    max_history, session : int
     block_index : ndarray, shape (B, 3), int32
     block_start : ndarray, shape (B + 1,), int64
         Block b's voxels are rows block_start[b] : block_start[b + 1] of the columns below.
@@ -49,16 +46,52 @@ class MemoryDump:
         Rows of the frame table.
     history_offset : ndarray, shape (., 3), uint8
         Where the points lay in the voxel, 256ths of its edge.
+
+    """
+
+    block_index: np.ndarray
+    block_start: np.ndarray
+    cell: np.ndarray
+    observations: np.ndarray
+    switches: np.ndarray
+    label: np.ndarray
+    majority: np.ndarray
+    last: np.ndarray
+    first_label: np.ndarray
+    source: np.ndarray
+    dirty: np.ndarray
+    gone: np.ndarray
+    posterior: np.ndarray
+    evidence_start: np.ndarray
+    evidence_class: np.ndarray
+    evidence_sum: np.ndarray
+    history_start: np.ndarray
+    history_label: np.ndarray
+    history_confidence: np.ndarray
+    history_frame: np.ndarray
+    history_offset: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class MemoryDump(Blocks):
+    """
+    Everything that a VoxelMemory knows: its blocks, and what goes by the whole map.
+
+    Attributes
+    ----------
+    voxel_size : float
+    origin : tuple of 3 floats
+    max_history, session : int
     starts, changes : ndarray, shape (65536,), int64
         Class volatility's counters.
     seen_ids : ndarray, shape (65536,), uint8
     rho : ndarray, shape (65536,), float64, or None
+    frames : core.memory.frame_table.FrameTable
     habits : dict of str to ndarray
         The parameters of the method geometry (core.geometry.kept), and with them known, voted,
         uint16: the ids that there were when they were fitted, and all that there are; {}: none.
     fitted_by : tuple or None
         The values of refine.up and refine.geometry that they were fitted with.
-    frames : core.memory.frame_table.FrameTable
 
     """
 
@@ -66,27 +99,6 @@ class MemoryDump:
     origin: tuple
     max_history: int
     session: int
-    block_index: np.ndarray
-    block_start: np.ndarray
-    cell: np.ndarray
-    observations: np.ndarray
-    switches: np.ndarray
-    label: np.ndarray
-    majority: np.ndarray
-    last: np.ndarray
-    first_label: np.ndarray
-    source: np.ndarray
-    dirty: np.ndarray
-    gone: np.ndarray
-    posterior: np.ndarray
-    evidence_start: np.ndarray
-    evidence_class: np.ndarray
-    evidence_sum: np.ndarray
-    history_start: np.ndarray
-    history_label: np.ndarray
-    history_confidence: np.ndarray
-    history_frame: np.ndarray
-    history_offset: np.ndarray
     starts: np.ndarray
     changes: np.ndarray
     seen_ids: np.ndarray
@@ -94,33 +106,6 @@ class MemoryDump:
     frames: FrameTable
     habits: dict[str, NDArray[Any]] = field_of(default_factory=dict)
     fitted_by: Optional[tuple[Any, ...]] = None
-
-
-@dataclass(frozen=True, eq=False)
-class Blocks:
-    """Some blocks with their voxels: the columns of a MemoryDump that go by block and voxel."""
-
-    block_index: np.ndarray
-    block_start: np.ndarray
-    cell: np.ndarray
-    observations: np.ndarray
-    switches: np.ndarray
-    label: np.ndarray
-    majority: np.ndarray
-    last: np.ndarray
-    first_label: np.ndarray
-    source: np.ndarray
-    dirty: np.ndarray
-    gone: np.ndarray
-    posterior: np.ndarray
-    evidence_start: np.ndarray
-    evidence_class: np.ndarray
-    evidence_sum: np.ndarray
-    history_start: np.ndarray
-    history_label: np.ndarray
-    history_confidence: np.ndarray
-    history_frame: np.ndarray
-    history_offset: np.ndarray
 
 
 def load(saved: MemoryDump) -> VoxelMemory:
@@ -151,7 +136,7 @@ def take_over(memory: VoxelMemory, saved: MemoryDump) -> None:
     memory.resume(saved.frames, saved.session)
 
 
-def enter(memory: VoxelMemory, saved: Blocks | MemoryDump) -> NDArray[np.int64]:
+def enter(memory: VoxelMemory, saved: Blocks) -> NDArray[np.int64]:
     """Enter blocks that are not in memory, with all marks but no stamps; return their numbers."""
     n, block = len(saved.cell), np.empty(len(saved.block_index), np.int64)
     number = np.empty(n, np.int64)

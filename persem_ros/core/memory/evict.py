@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from persem_ros.core.jit import inlined, kernel
 from persem_ros.core.memory.blocks import remove_block
 from persem_ros.core.memory.pools import (
@@ -44,29 +44,41 @@ def keep_near(memory: VoxelMemory, position: tuple[float, float, float], radius:
         may still read them.
 
     """
-    crowded = 0 < max_voxels < memory.n_voxels
-    if memory.read_beside or not memory.n_voxels or not (radius > 0 or crowded):
+    if memory.read_beside or not memory.n_voxels:
         return 0
-    blocks = memory.m.blocks[:memory.n_blocks]
-    live = np.flatnonzero(blocks['near'][:, 13])
-    edge = SIDE * memory.voxel_size
-    away = (blocks['index'][live] + 0.5) * edge - (np.asarray(position) - memory.origin)
+    live = np.flatnonzero(memory.m.blocks['near'][:memory.n_blocks, 13])
+    return leave(memory, farthest(memory, live, position, radius, max_voxels, at_once))
+
+
+def farthest(memory: VoxelMemory, blocks: NDArray[np.int64], position: ArrayLike, radius: float,
+             max_voxels: int, at_once: int) -> NDArray[np.int64]:
+    """Return which of the given blocks, by number, go by the rule of keep_near(); they exist."""
+    crowded = 0 < max_voxels < memory.n_voxels
+    if not (radius > 0 or crowded):
+        return blocks[:0]
+    records = memory.m.blocks
+    away = (records['index'][blocks] + 0.5) * (SIDE * memory.voxel_size) \
+        - (np.asarray(position) - memory.origin)
     distance = np.linalg.norm(away, axis=1)
     order = np.argsort(-distance, kind='stable')
-    counts = blocks['count'][live[order]].astype(np.int64)
+    counts = records['count'][blocks[order]].astype(np.int64)
     before = np.cumsum(counts) - counts     # voxels that lie farther
-    dropped = np.zeros(len(live), bool)
+    go = np.zeros(len(blocks), bool)
     if radius > 0:
-        dropped |= distance[order] > radius
+        go |= distance[order] > radius
     if crowded:
-        dropped |= before < memory.n_voxels - int(0.9 * max_voxels)
+        go |= before < memory.n_voxels - int(0.9 * max_voxels)
     if at_once > 0:
-        dropped &= before < at_once
-    if not dropped.any():
-        return 0
-    voxels = memory.n_voxels
-    drop(memory, live[order[dropped]])
-    return voxels - memory.n_voxels
+        go &= before < at_once
+    return blocks[order[go]]
+
+
+def leave(memory: VoxelMemory, blocks: NDArray[np.int64], kept: bool = False) -> int:
+    """Drop blocks as drop() does, if there are any; return how many voxels that were."""
+    before = memory.n_voxels
+    if len(blocks):
+        drop(memory, blocks, kept)
+    return before - memory.n_voxels
 
 
 def drop(memory: VoxelMemory, numbers: NDArray[np.int64], kept: bool = False) -> None:

@@ -15,8 +15,8 @@ from persem_ros.core.jit import kernel
 from persem_ros.core.memory.blocks import find_block
 from persem_ros.core.memory.capture import Capture
 from persem_ros.core.memory.dump import Blocks, enter, MemoryDump
-from persem_ros.core.memory.evict import drop
-from persem_ros.core.memory.pools import CLOCK, SIDE, sparse_zeros
+from persem_ros.core.memory.evict import farthest, leave
+from persem_ros.core.memory.pools import CLOCK, sparse_zeros
 
 if TYPE_CHECKING:
     from persem_ros.core.memory.voxel_memory import VoxelMemory
@@ -118,31 +118,15 @@ class Pager:
 
         """
         memory = self.memory
-        crowded = 0 < max_voxels < memory.n_voxels
-        if memory.read_beside or not (radius > 0 or crowded):
+        if memory.read_beside:
             return 0
         blocks = memory.m.blocks
         clean = np.flatnonzero(memory.m.stamps['stored'][:memory.n_blocks] <= self.moment)
         clean = clean[blocks['near'][clean, 13] > 0]
-        away = np.linalg.norm((blocks['index'][clean] + 0.5) * (SIDE * memory.voxel_size)
-                              - (np.asarray(position) - memory.origin), axis=1)
-        order = np.argsort(-away, kind='stable')
-        counts = blocks['count'][clean[order]].astype(np.int64)
-        farther = np.cumsum(counts) - counts
-        leave = np.zeros(len(clean), bool)
-        if radius > 0:
-            leave |= away[order] > radius
-        if crowded:
-            leave |= farther < memory.n_voxels - int(0.9 * max_voxels)
-        if at_once > 0:
-            leave &= farther < at_once
-        if not leave.any():
-            return 0
-        numbers = clean[order[leave]]
+        numbers = farthest(memory, clean, position, radius, max_voxels, at_once)
         near = blocks['near'][numbers].reshape(-1)
         self._room()[near[near > 0].astype(np.int64) - 1] = 0
-        drop(memory, numbers, kept=True)
-        return int(counts[leave].sum())
+        return leave(memory, numbers, kept=True)
 
     @property
     def dirty_voxels(self) -> int:

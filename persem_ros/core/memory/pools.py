@@ -169,3 +169,9 @@ def _reserve(dtype: np.dtype[Any], nbytes: int) -> NDArray[Any]:
     if hasattr(mmap, 'MADV_HUGEPAGE'):
         space.madvise(mmap.MADV_HUGEPAGE)
     return np.frombuffer(space, dtype)
+
+
+def ranges(start: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the numbers start[i] .. start[i] + counts[i] - 1 of all i in a row."""
+    ends = np.cumsum(counts)
+    return np.repeat(start - ends + counts, counts) + np.arange(ends[-1] if len(ends) else 0)

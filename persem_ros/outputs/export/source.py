@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,7 +19,7 @@ from persem_ros.outputs.map.rows import about_of, columns_of, KINDS, matrices, O
 from persem_ros.outputs.map.store import reading
 from persem_ros.outputs.progress import progress
 from persem_ros.settings import config_file
-from persem_ros.settings.config import Config
+from persem_ros.settings.config import Config, nearest
 from persem_ros.settings.legend import Legend
 
 BLOCKS = 256            # read at a time
@@ -29,7 +29,7 @@ Columns = dict[str, NDArray[Any]]
 @dataclass(frozen=True)
 class Choice:
     """
-    Which voxels are meant.
+    Which voxels are meant; a box without an inside is refused (PersemError).
 
     Attributes
     ----------
@@ -47,6 +47,33 @@ class Choice:
     crop: tuple[float, ...] | None = None
     labels: frozenset[int] = frozenset()
     gone: bool = False
+
+    def __post_init__(self) -> None:
+        """Look at the box."""
+        if self.crop is not None and not (len(self.crop) == 6 and all(
+                low < high for low, high in zip(self.crop[:3], self.crop[3:]))):
+            raise PersemError('a box: expected x0 y0 z0 x1 y1 z1 with x0 < x1, y0 < y1 and '
+                              f'z0 < z1, got {" ".join(f"{x:g}" for x in self.crop)}')
+
+
+def labels_of(words: Iterable[int | str], legend: Legend) -> frozenset[int]:
+    """
+    Return the ids of classes that are given by name or id.
+
+    Raises
+    ------
+    PersemError
+        For a name that the legend does not have.
+
+    """
+    by_name = {legend.name(c): c for c in legend.ids}
+    found = set()
+    for word in words:
+        if isinstance(word, str) and word not in by_name and not word.isdigit():
+            raise PersemError(f'there is no class {word!r}{nearest(word, by_name)}; the map has '
+                              + (', '.join(list(by_name)[:20]) or 'no legend: give ids'))
+        found.add(by_name.get(word, word) if isinstance(word, str) else word)
+    return frozenset(map(int, found))
 
 
 @dataclass

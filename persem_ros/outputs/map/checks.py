@@ -59,7 +59,7 @@ def check_head(saved: MemoryDump) -> None:
     _check_counters(saved, nothing, nothing)
 
 
-def check_blocks(saved: Blocks | MemoryDump, frame_t: NDArray[np.int32],
+def check_blocks(saved: Blocks, frame_t: NDArray[np.int32],
                  seen_ids: NDArray[np.uint8], about: Mapping[str, Any] | None = None,
                  ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """
@@ -97,7 +97,7 @@ def check_blocks(saved: Blocks | MemoryDump, frame_t: NDArray[np.int32],
     return starts, changes
 
 
-def _check_lengths(saved: Blocks | MemoryDump, about: Mapping[str, Any]) -> None:
+def _check_lengths(saved: Blocks, about: Mapping[str, Any]) -> None:
     """Refuse columns of other lengths than the counts say."""
     n, rows = len(saved.cell), np.diff(saved.block_start)
     evidence, history = len(saved.evidence_sum), len(saved.history_frame)
@@ -115,7 +115,7 @@ def _check_lengths(saved: Blocks | MemoryDump, about: Mapping[str, Any]) -> None
         all(len(getattr(saved, name)) == length for name, length in lengths.items())})
 
 
-def _check_blocks(saved: Blocks | MemoryDump) -> None:
+def _check_blocks(saved: Blocks) -> None:
     """Refuse blocks that are not unique and in order, and cells that are not within them."""
     index = saved.block_index.astype(np.int64)
     step = np.diff(index, axis=0)

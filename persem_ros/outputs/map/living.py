@@ -105,11 +105,13 @@ class LivingMap:
     def read(self, index: NDArray[np.int32]) -> Blocks:
         """Return those of the blocks with the given, ascending, indices (n, 3) that are there."""
         try:
-            places = [self._reader.execute(f'SELECT * FROM blocks WHERE {PLACE}', key).fetchall()
-                      for key in index.tolist() if tuple(key) not in self.damaged]
+            found = [self._reader.execute(f'SELECT * FROM blocks WHERE {PLACE}', key).fetchall()
+                     for key in index.tolist() if tuple(key) not in self.damaged]
         except sqlite3.Error as error:
             raise PersemError(f'{self.path} cannot be read ({error})') from error
-        rows = [found[0] for found in places if len(found) == 1 or self._once(found)]
+        for several in (rows for rows in found if len(rows) > 1):
+            self._leave_out(several[0], 'a block twice')
+        rows = [rows[0] for rows in found if len(rows) == 1]
         try:
             return self._checked(rows)
         except DAMAGED:
@@ -131,10 +133,11 @@ class LivingMap:
                 db.execute('BEGIN IMMEDIATE')
                 about, crc = self._enter(db, changed)
                 db.execute('COMMIT')
-            except sqlite3.Error as error:
+            except (sqlite3.Error, *DAMAGED) as error:
                 with suppress(sqlite3.Error):
                     db.execute('ROLLBACK')
                 raise PersemError(f'{self.path} cannot be written ({error})') from error
+            self.damaged -= set(map(tuple, changed.block_index.tolist()))   # mapped anew
             self._about, self._frames_crc, self._n_frames = about, crc, len(changed.frames)
             self._t, self._seen = changed.frames.t, changed.seen_ids
 
@@ -179,17 +182,20 @@ class LivingMap:
     def _enter(self, db: sqlite3.Connection, changed: MemoryDump) -> tuple[dict[str, Any], int]:
         """Write all rows; return the new table about and the frame table's checksum."""
         counts = {name: int(self._about[name]) for name in ('blocks', 'voxels', 'observations')}
-        places = ', '.join('?' * len(NAMES['blocks']))
+        places, mended = ', '.join('?' * len(NAMES['blocks'])), False
         for row in block_rows(changed):
+            if row[:3] in self.damaged:     # what lies there is not what was counted
+                db.execute(f'DELETE FROM blocks WHERE {PLACE}', row[:3])
+                mended = True
             old = db.execute(f'SELECT voxels, observations FROM blocks WHERE {PLACE}',
                              row[:3]).fetchone()
-            if old is not None and row[:3] in self.damaged:
-                old = None
             counts['blocks'] += old is None
             counts['voxels'] += row[3] - (old[0] if old else 0)
             counts['observations'] += _observed(row[5 + OBSERVED]) - (
                 _observed(old[1]) if old else 0)
             db.execute(f'INSERT OR REPLACE INTO blocks VALUES ({places})', row)
+        if mended:
+            counts = _counted(db)
         crc = self._frames_crc
         for row in frame_rows(changed.frames, self._n_frames):
             db.execute(f'INSERT INTO frames VALUES ({", ".join("?" * len(row))})', row)
@@ -224,12 +230,6 @@ class LivingMap:
             self._leave_out(row, error)
             return False
 
-    def _once(self, found: list[tuple[Any, ...]]) -> bool:
-        """Return False: a place is empty, or holds several blocks, which is said once."""
-        if found:
-            self._leave_out(found[0], 'a block twice')
-        return False
-
     def _leave_out(self, row: tuple[Any, ...], why: object) -> None:
         """Read the block of this row no more."""
         self.damaged.add(tuple(row[:3]))
@@ -244,6 +244,18 @@ def _connected(path: Path) -> sqlite3.Connection:
     harden(db)
     check_tables(db, NAMES)
     return db
+
+
+def _counted(db: sqlite3.Connection) -> dict[str, int]:
+    """Return what the table about has of the blocks, from the blocks."""
+    rows = db.execute('SELECT voxels, observations FROM blocks')
+    counts = dict.fromkeys(('blocks', 'voxels', 'observations'), 0)
+    for voxels, column in rows:
+        if type(voxels) is not int or type(column) is not bytes or len(column) % 4:
+            continue            # another damaged one
+        for name, value in zip(counts, (1, voxels, _observed(column))):
+            counts[name] += value
+    return counts
 
 
 def _observed(column: bytes) -> int:

@@ -34,9 +34,8 @@ class WriterLock:
             try:
                 self._handle = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
             except OSError as error:
-                raise PersemError(f'{path} cannot be attached: its folder cannot be written '
-                                  f'({error.strerror}); copy it elsewhere, or go without '
-                                  'map.attached') from error
+                raise PersemError(f'{path} cannot be written, nor can its folder '
+                                  f'({error.strerror}); copy it elsewhere first') from error
             try:
                 fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError:

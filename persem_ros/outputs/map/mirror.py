@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from persem_ros.core.memory.changes import Changed
-from persem_ros.core.memory.pools import SIDE, sparse_zeros
+from persem_ros.core.memory.pools import ranges, SIDE, sparse_zeros
 from persem_ros.core.memory.voxel_memory import sort_order
 from persem_ros.outputs.map.cloud import map_points, POINT
 from persem_ros.settings.config import Map
@@ -175,10 +175,7 @@ class Mirror:
 
     def _live(self, blocks: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the rows of some blocks, one block after the other."""
-        counts = self._blocks['count'][blocks]
-        ends = np.cumsum(counts)
-        first = self._blocks['start'][blocks] - ends + counts
-        return np.repeat(first, counts) + np.arange(ends[-1] if len(ends) else 0)
+        return ranges(self._blocks['start'][blocks], self._blocks['count'][blocks])
 
     def _away(self, blocks: NDArray[np.int64], centre: ArrayLike) -> NDArray[np.float64]:
         """Return how far the centres of blocks are from a point, metres."""

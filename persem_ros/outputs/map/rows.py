@@ -180,9 +180,9 @@ def from_rows(rows: dict[str, Any]) -> tuple[dict[str, Any], MemoryDump] | None:
     habits = {} if 'habits' not in about else dict(zip(
         ('habits', 'fitted_by'), from_blob(about['habits'])))
     saved = MemoryDump(
-        about['voxel_size'], struct.unpack('<3d', about['origin']), about['max_history'],
-        about['session'], **columns, **_counters(classes, about['refined']), frames=table,
-        **habits)
+        **columns, voxel_size=about['voxel_size'], origin=struct.unpack('<3d', about['origin']),
+        max_history=about['max_history'], session=about['session'],
+        **_counters(classes, about['refined']), frames=table, **habits)
     if 'blocks' in rows:
         check_dump(saved, about)
     else:
