@@ -31,7 +31,7 @@ test: $(VENV)/installed-test
 demo: $(VENV)/installed
 	$(RUN) -m persem_ros simulate demo/flight --force
 	$(RUN) -m persem_ros replay demo/flight --out demo/result --force --set 'memory.dynamic_labels=[10]' \
-		--methods raw2d,majority,persem,geometry
+		--set refine.method=geometry --methods raw2d,majority,persem,geometry --figure demo/demo.png
 
 bench: $(VENV)/installed-bench
 	$(RUN) benchmarks/run.py $(ARGS)
