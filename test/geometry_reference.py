@@ -22,8 +22,8 @@ MOST_DENSE = 64
 CANDIDATES = 16
 
 Constants = namedtuple(     # what refine.geometry.* holds
-    'Constants', 'directions window cell weight smoothing prior shrink rounds',
-    defaults=(8, 20, 32, 0.5, 6.0, 60.0, 0.1, 3))
+    'Constants', 'directions window cell weight smoothing prior shrink rounds groups',
+    defaults=(8, 20, 32, 0.5, 6.0, 60.0, 0.1, 3, 'both'))
 Parameters = namedtuple('Parameters', 'pi theta counts ratios rho')
 Result = namedtuple('Result', 'voxels classes labels posterior parameters shape')
 
@@ -157,8 +157,9 @@ def score(parameters, p, n, groups, allowed, constants, neighbours=None):
     for c in range(p.shape[1]):
         likelihood += p[:, c, None] * log_theta[None, :, c]
     shape = np.zeros_like(p)
-    for ratio, group in zip(parameters.ratios, groups):
-        shape += np.log(ratio / parameters.pi)[group]
+    for k, (ratio, group) in enumerate(zip(parameters.ratios, groups)):
+        if constants.groups in ('both', 'cells' if k else 'shapes'):
+            shape += np.log(ratio / parameters.pi)[group]
     S = np.log(parameters.pi) + n[:, None] * likelihood + constants.weight * shape
     if neighbours is not None:
         S = S + constants.smoothing * neighbours

@@ -25,6 +25,9 @@ def add_parser(subparsers: _SubParsersAction[Any]) -> None:
                         help='rosbag2 recordings; A+B is one input in two of them')
     parser.add_argument('--vary', metavar='NAME=A,B,C', action='append', required=True,
                         help='a setting and its values; may be given again')
+    parser.add_argument('--each', action='store_true',
+                        help='vary one setting at a time, the others as they are, instead of '
+                             'every combination; the first row has none of them changed')
     parser.add_argument('--out', metavar='DIR', required=True, help='folder of the results')
     parser.add_argument('--methods', metavar='A,B', default='raw2d,ema2d,majority,persem',
                         help='methods to be compared, or all (default: %(default)s)')
@@ -41,9 +44,9 @@ def run(args: Namespace) -> None:
     from persem_ros.evaluate.sweep import parse_vary, points_table, sweep
     from persem_ros.settings import config_file
     config = config_file.from_args(args.config, args.set_items)
-    result = sweep(args.bags, args.out, config, parse_vary(args.vary, config),
+    result = sweep(args.bags, args.out, config, parse_vary(args.vary, config, args.each),
                    methods_of(args.methods), args.labels, args.grouped, not args.no_dynamic,
                    args.predictions, args.workers, args.scheduler, args.force,
-                   not args.no_figures, excerpt_of(args))
+                   not args.no_figures, excerpt_of(args), args.each)
     print(console(points_table(result)))
     print(f'\nresults in {args.out}')

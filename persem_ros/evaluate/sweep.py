@@ -35,9 +35,10 @@ MOST = 2000         # points; more is a mistake in the command line
 
 
 def parse_vary(
-        items: list[str], config: Config) -> dict[str, list[float | str | tuple[int, ...]]] | None:
+        items: list[str], config: Config, each: bool = False,
+) -> dict[str, list[float | str | tuple[int, ...]]] | None:
     """
-    Return {name: list of values} of options like refine.eta=0,0.1,0.3.
+    Return {name: list of values} of options like refine.eta=0,0.1,0.3; *each* as of sweep().
 
     Raises
     ------
@@ -60,7 +61,7 @@ def parse_vary(
                               "'persem config' lists all settings, besides them there is "
                               f'{", ".join(n for n in known if n.startswith(DISTURB))}')
         axes[name] = list(dict.fromkeys(_checked(name, word, config) for word in _split(text)))
-    count = math.prod(map(len, axes.values()))
+    count = (sum if each else math.prod)(map(len, axes.values()))
     if not axes or count > MOST:
         raise PersemError(f'--vary: expected 1 to {MOST} points, got {count if axes else 0}')
     return axes
@@ -95,17 +96,18 @@ def sweep(recordings: list[Path | str], out: Path | str, config: Config,
           axes: dict[str, list[float | str]], methods: tuple[str, ...] = METHODS, labels: str = '',
           grouped: bool = False, dynamic: bool = True, predictions: str = '', workers: int = 0,
           scheduler: str = '', force: bool = False, figures: bool = True,
-          excerpt: Excerpt = WHOLE) -> dict[str, Any] | None:
+          excerpt: Excerpt = WHOLE, each: bool = False) -> dict[str, Any] | None:
     """
     Evaluate recordings at every combination of the values of *axes* (parse_vary).
 
-    The other parameters are those of run.evaluate. Points that are finished in the folder are
-    not computed again, also those of a sweep over other values.
+    With *each* one setting is varied at a time, after a point with nothing changed. The other
+    parameters are those of run.evaluate. Points that are finished in the folder are not computed
+    again, also those of a sweep over other values.
 
     Returns
     -------
     dict
-        The content of sweep.json: axes {name: values}, methods, points [{values, sequences:
+        The content of sweep.json: axes {name: values}, each, methods, points [{values, sequences:
         {name: row}, mean: row}]; a row has truth_flicker, voxels, times and methods.
 
     """
@@ -118,7 +120,8 @@ def sweep(recordings: list[Path | str], out: Path | str, config: Config,
                        excerpt=excerpt)
             for name, path in paths.items()}
     frames = [run.check(task) for task in base.values()]
-    points = [dict(zip(axes, values)) for values in itertools.product(*axes.values())]
+    points = [{}, *({name: value} for name, values in axes.items() for value in values)] \
+        if each else [dict(zip(axes, values)) for values in itertools.product(*axes.values())]
     folder = run.prepare(out, _request(next(iter(base.values())), axes), force)
     tasks = {}
     for k, values in enumerate(points):
@@ -129,11 +132,12 @@ def sweep(recordings: list[Path | str], out: Path | str, config: Config,
     found = run.compute(folder, {folders[place]: task for place, task in tasks.items()}, workers,
                         scheduler, frames * len(points))
     for k, values in enumerate(points):
-        at = ', '.join(f'{name}={_plain(value)}' for name, value in values.items())
+        at = _at(values)
         run.warn({f'{name} at {at}': found[folders[k, name]] for name in paths})
     result = {
         'axes': {name: [_plain(v) for v in values] for name, values in axes.items()},
-        'methods': list(methods), 'taxonomy': next(iter(found.values()))[0]['taxonomy'],
+        'each': each, 'methods': list(methods),
+        'taxonomy': next(iter(found.values()))[0]['taxonomy'],
         'recordings': list(paths),
         'points': [_point(values, {name: found[folders[k, name]][0] for name in paths})
                    for k, values in enumerate(points)],
@@ -173,10 +177,20 @@ def points_table(result: dict[str, Any]) -> Table:
             point['mean']['history_s'], point['mean']['refinement_s'])))
             for point in result['points']]
     names = result['recordings']
+    heads = tuple(result['axes'])
+    if result['each']:
+        heads = 'changed',
+        rows = [((_at(point['values']),), cells)
+                for point, (_, cells) in zip(result['points'], rows)]
     title = f'Sweep over {", ".join(result["axes"])}, ' + (
         names[0] if len(names) == 1 else f'mean of {len(names)} sequences')
     return table.marked(table.Table(
-        'sweep', title, tuple(result['axes']), columns, rows))
+        'sweep', title, heads, columns, rows))
+
+
+def _at(values: dict[str, float | str]) -> str:
+    """Return a point's values as text."""
+    return ', '.join(f'{name}={_plain(value)}' for name, value in values.items()) or 'nothing'
 
 
 def _point(values: dict[str, float | str], summaries: dict[str, dict[str, Any]]) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from typing import Any, TYPE_CHECKING
 from geometry_msgs.msg import Point, PointStamped
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.refine.explain import explain
+from persem_ros.core.refine.explain import explain, quickly
 from persem_ros.inputs.decode.messages import frame_id, stamp_ns
 from persem_ros.outputs.map.explanation import explanation, names, Surroundings
 from persem_ros.ros.messages import header
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 AROUND = 2              # voxels around a click that are tried where nothing was seen
 RAYS = 200              # the newest observations that are drawn
-BY_FILE = ('the terms of the method geometry need the whole map: ~/save_map, then persem map '
-           'query on the file')
+NOT_YET = ('the method geometry has not labelled this voxel yet: ask again after the next '
+           'refinement')
 
 
 class ClickedPoint:
@@ -69,8 +69,8 @@ class ClickedPoint:
             self._markers.publish(MarkerArray(markers=[Marker(action=Marker.DELETEALL)]))
             return
         legend, settings, notes = self._node.colors(), config.refine, ''
-        if settings.method == 'geometry':   # its parameters are fitted to the whole map
-            settings, notes = replace(settings, method='majority'), f'\n{BY_FILE}'
+        if not quickly(memory, voxel, settings):
+            settings, notes = replace(settings, method='majority'), f'\n{NOT_YET}'
         trace = explain(memory, voxel, settings)
         around = Surroundings(memory.voxel_size, memory.origin, config.frames.map, memory.frames,
                               config.refine if not notes else settings, legend)

@@ -92,6 +92,8 @@ class Geometry:
     shrink: float = setting(0.1, "share of all looks that the classes' confusions must outweigh",
                             '', 1e-6, 1e3)
     rounds: int = setting(3, 'rounds in which the parameters are fitted', '', 1, 100)
+    groups: str = setting('both', 'which groups of places have habits: shapes anywhere, kinds in '
+                          'areas, or both (an ablation)', choices=('both', 'shapes', 'cells'))
 
 
 @dataclass(frozen=True)

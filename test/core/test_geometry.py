@@ -7,6 +7,7 @@ import geometry_reference as plain
 from hypothesis import given, strategies as st
 import numpy as np
 from persem_ros.core import jit
+from persem_ros.core.geometry.account import account
 from persem_ros.core.geometry.ground import NONE, TILE, tiles_of, windowed_minimum
 from persem_ros.core.geometry.kept import sound
 from persem_ros.core.geometry.labelling import label_rows
@@ -15,7 +16,7 @@ from persem_ros.core.memory.capture import dump
 from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.evict import keep_near
 from persem_ros.core.memory.voxel_memory import VoxelMemory
-from persem_ros.core.refine.explain import explain
+from persem_ros.core.refine.explain import explain, quickly
 from persem_ros.core.refine.job import at_rest, begin_next, finish, label, refine
 from persem_ros.core.refine.snapshot import take
 from persem_ros.settings.config import Geometry, Refine
@@ -126,7 +127,8 @@ def assert_alike(memory, wanted, confident=1e-6):
 SETTINGS = st.sampled_from([
     Geometry(), Geometry(), Geometry(directions=2), Geometry(directions=32, cell=2),
     Geometry(window=0, cell=5), Geometry(window=3, cell=9), Geometry(weight=0.0),
-    Geometry(smoothing=0.0, rounds=1), Geometry(prior=1.0, shrink=1.0, rounds=5)])
+    Geometry(smoothing=0.0, rounds=1), Geometry(prior=1.0, shrink=1.0, rounds=5),
+    Geometry(groups='shapes'), Geometry(groups='cells', prior=2.0)])
 UPS = st.sampled_from(['z', 'z', 'x', 'y', '-x', '-y', '-z'])
 
 
@@ -440,6 +442,13 @@ def test_an_account_of_a_voxel_is_the_references(form, monkeypatch):
         assert sum(found['votes'].values()) == pytest.approx(1.0)
         for part in ('shape', 'cell', 'shifted_cell', 'frequencies'):
             assert sum(found[part].values()) == pytest.approx(1.0), part
+        number = memory.number(wanted.voxels[row])
+        whole = account(memory, take(memory), number, GEOMETRY, memory.geometry)
+        assert quickly(memory, wanted.voxels[row], GEOMETRY) and found == whole
+    seen = {(500, 0, 0): (1, 1.0), (-20, -30, -4): (2, 1.0)}
+    memory.add(memory_frame(99, seen, (0.0, 0.0, 9.0)))
+    assert not quickly(memory, (500, 0, 0), GEOMETRY)       # newer than the last refinement
+    assert quickly(memory, (-20, -30, -4), GEOMETRY)
 
 
 @pytest.mark.parametrize('first, then', [((1, 2), (2, 3)), ((2, 5), (1, 2))])

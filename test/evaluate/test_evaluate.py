@@ -2,6 +2,7 @@
 
 import csv
 import io
+import itertools
 import json
 import logging
 import re
@@ -145,6 +146,24 @@ def test_intervals_hold_what_they_promise():
         assert row['pixel_accuracy']['value'] == pytest.approx(
             (hits[:, 1] - hits[:, 0]).mean() / 10)
     assert 0.88 <= covered / 120 <= 0.99
+
+
+def test_intervals_of_drawn_sequences():
+    gains, sequences = (1.0, 2.0, 4.0, 8.0, -3.0), []
+    for gain in gains:
+        blocks = {name: np.zeros((6, 4, *shape)) for name, shape in (
+            ('hits', (2, 2)), ('predicted', (2, 2)), ('true', (2,)), ('changed', (3,)),
+            ('pairs', ()), ('pixels', ()))}
+        blocks['hits'][..., 1] = 500, 500 + 10 * gain
+        blocks['predicted'][..., 1] = blocks['true'][..., 1] = 1000
+        sequences.append(blocks)
+    row = intervals.differences(sequences, ('a', 'b'), 'a', 4000, whole=True)['all']['b']
+    means = [np.mean(drawn) for drawn in itertools.product(gains, repeat=5)]    # all there are
+    found, wanted = row['pixel_accuracy'], np.percentile(means, [2.5, 97.5])
+    assert [found['low'], found['high']] == pytest.approx(wanted, abs=0.3)
+    assert (found['value'], found['rises'], found['falls']) == (pytest.approx(2.4), 4, 1)
+    row = intervals.differences(sequences[:4], ('a', 'b'), 'a', 100, whole=True)['all']['b']
+    assert row['pixel_accuracy']['low'] is None
 
 
 def test_identical_methods_differ_by_nothing(recording):

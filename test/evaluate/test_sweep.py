@@ -37,6 +37,19 @@ def test_points_are_evaluations(tmp_path, recording):
     assert json.loads((tmp_path / 'sweep.json').read_text())['points'] == result['points']
 
 
+def test_one_setting_at_a_time(tmp_path, recording, capsys):
+    words = ['sweep', str(recording), '--out', str(tmp_path / 'out'), '--workers', '1', '--each',
+             '--methods', 'majority,history', '--vary', 'refine.eta=0,1', '--vary',
+             'memory.voxel_size=0.25']
+    assert cli.main(words) == 0
+    result = json.loads((tmp_path / 'out' / 'sweep.json').read_text())
+    assert [p['values'] for p in result['points']] == [
+        {}, {'refine.eta': 0.0}, {'refine.eta': 1.0}, {'memory.voxel_size': 0.25}]
+    assert len({p['mean']['voxels'] for p in result['points']}) == 2
+    table = capsys.readouterr().out
+    assert 'nothing' in table and 'memory.voxel_size=0.25' in table
+
+
 def test_more_values_use_what_is_finished(tmp_path, recording, capsys, caplog):
     words = ['sweep', str(recording), '--out', str(tmp_path / 'out'), '--workers', '1', '--vary']
     assert cli.main([*words, 'ema.alpha=0.5,0.9']) == 0

@@ -8,6 +8,7 @@ from persem_ros.outputs.map import store
 from persem_ros.outputs.map.cloud import POINT
 from persem_ros.replay import replay
 from persem_ros.settings.config import Config, updated
+import pytest
 from sensor_msgs.msg import Image, PointCloud2
 
 FRAMES = 40
@@ -30,15 +31,19 @@ def assert_same_maps(one, other):
         elif name == 'frames':
             assert [(f.t, f.sensor, f.stamp) for f in value] == \
                 [(f.t, f.sensor, f.stamp) for f in again]
+        elif name == 'habits':      # parameters of the method geometry
+            assert {k: a.tolist() for k, a in value.items()} == {
+                k: a.tolist() for k, a in again.items()}
         elif name != 'session':
             assert value == again, name
 
 
-def test_played_by_ros2_bag(ros, tmp_path):
-    path = bags.write(tmp_path / 'bag', FRAMES)
-    expected = replayed(path, tmp_path / 'replay')
+@pytest.mark.parametrize('method', ['persem', 'geometry'])
+def test_played_by_ros2_bag(ros, tmp_path, method):
+    path, chosen = bags.write(tmp_path / 'bag', FRAMES), {'refine.method': method}
+    expected = replayed(path, tmp_path / 'replay', **chosen)
     saved = tmp_path / 'live.persem'
-    mapper = ros.mapper({'map.path': str(saved), 'map.rate': 20.0}).ready()
+    mapper = ros.mapper({'map.path': str(saved), 'map.rate': 20.0, **chosen}).ready()
     images = ros.client.listen(Image, '/mapper/labels')
     clouds = ros.client.listen(PointCloud2, '/mapper/map', LATCHED)
     player = ros.run('ros2', 'bag', 'play', '--rate', '2', '--delay', '3', str(path))
@@ -50,6 +55,7 @@ def test_played_by_ros2_bag(ros, tmp_path):
     done, said = mapper.call('save_map')
     assert done and str(saved) in said
     assert_same_maps(expected, store.load(saved))
+    assert bool(expected.saved.habits) == (method == 'geometry')
     assert [messages.stamp_ns(m) for m in images] == [bags.stamp(i) for i in range(FRAMES)]
     assert {(m.header.frame_id, m.encoding, m.width, m.height, m.step) for m in images} == \
         {('camera', 'mono16', bags.WIDTH, bags.HEIGHT, 2 * bags.WIDTH)}

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Optional
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.geometry.groups import Cells, Groups, KINDS, SHAPES
+from persem_ros.core.geometry.groups import Cells, counts, Groups, KINDS, SHAPES
 from persem_ros.core.geometry.parameters import estimate, Parameters, Sums, TERM
 from persem_ros.core.geometry.softmax import MAGIC, MAGIC_BITS, softmax
 from persem_ros.core.geometry.votes import Votes
@@ -37,7 +37,9 @@ class Tables(NamedTuple):
 
 def tables_of(parameters: Parameters, settings: Any) -> Tables:
     """Return the Tables of parameters; settings are those of refine.geometry."""
-    ratios = [np.log(parameters.shares(k, settings.prior) / parameters.pi) for k in range(3)]
+    ratios = [np.log(parameters.shares(k, settings.prior) / parameters.pi)
+              if counts(settings.groups, k) else np.zeros_like(parameters.groups[k])
+              for k in range(3)]
     return Tables(np.log(parameters.pi), np.ascontiguousarray(np.log(parameters.theta + 1e-6).T),
                   *ratios, parameters.rho, settings.weight)
 

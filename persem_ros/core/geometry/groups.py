@@ -59,6 +59,11 @@ class Groups:
     height: NDArray[np.int32]
 
 
+def counts(chosen: str, k: int) -> bool:
+    """Return whether the k-th groups (0 fine, 1 coarse, 2 shifted) count, by refine.*.groups."""
+    return chosen == 'both' or (chosen == 'shapes') == (k == 0)
+
+
 def make_cells(ground: Ground, offset: int, cell: int) -> Cells:
     """Return the Cells of a map's observed columns."""
     bound = len(ground.tiles) * (SIDE // cell + 2) ** 2

@@ -12,6 +12,8 @@ from persem_ros.core.geometry.groups import Cells, cells_from, cells_listed, KIN
 from persem_ros.core.geometry.parameters import correlation, estimate, Parameters, Sums
 from persem_ros.core.geometry.sparse import estimate_sparse, SparseParameters, SparseSums
 
+MOST = 2.0 ** 53         # voxels or looks that a sum may come to
+LEAST_PI = 1e-12        # section 12.4 adds 1e-9 to each
 Any_Parameters = Union[Parameters, SparseParameters]
 Arrays = dict[str, NDArray[Any]]
 
@@ -126,8 +128,8 @@ def sound(arrays: Arrays) -> bool:
             and all(arrays[name].dtype == kind for name, kind in whole.items())
             and all(arrays[name].shape == shape for name, shape in shapes.items())
             and (np.diff(arrays['classes'].astype(int)) > 0).all()
-            and all(a.dtype == np.float64 and np.isfinite(a).all() and (a >= 0).all()
+            and all(a.dtype == np.float64 and (a >= 0).all() and (a <= MOST).all()
                     for name, a in arrays.items() if name not in integers)
-            and (arrays['pi'] > 0).all())
+            and (arrays['pi'] >= LEAST_PI).all())
     except (KeyError, AttributeError, ValueError, TypeError):
         return False

@@ -17,7 +17,7 @@ from persem_ros.core.geometry.candidates import gather, LIKELY, list_candidates,
 from persem_ros.core.geometry.dense import FAINT
 from persem_ros.core.geometry.entries import (
     count_in, Entries, entries_of, FEW, FREE, listed as as_listed, merged, value_of, wider)
-from persem_ros.core.geometry.groups import Cells, Groups, KINDS, SHAPES
+from persem_ros.core.geometry.groups import Cells, counts, Groups, KINDS, SHAPES
 from persem_ros.core.geometry.parameters import common_arrays, OWN, TERM
 from persem_ros.core.geometry.votes import Votes
 from persem_ros.core.jit import kernel, split
@@ -251,7 +251,13 @@ class Sparse:
             / (known.rows[z] + known.a))
         fine = (known.fine + prior * pi) / (known.fine.sum(axis=1)[:, None] + prior)
         logs = []
+        chosen = self.settings.groups
+        if not counts(chosen, 0):
+            fine = np.tile(pi, (len(fine), 1))
         for (group_keys, R), total in zip(known.groups, known.totals):
+            if not counts(chosen, 1):
+                logs += [*entries_of(np.empty(0, np.int64), np.empty(0)), np.zeros(len(total))]
+                continue
             z = group_keys % K
             ratio = (R + prior * pi[z]) / (total[np.maximum(group_keys, 0) // K] + prior) / pi[z]
             logs += [group_keys, np.log(np.where(group_keys == FREE, 1.0, ratio)),

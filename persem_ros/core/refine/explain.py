@@ -12,6 +12,7 @@ from persem_ros.core.geometry.kept import parameters_of
 from persem_ros.core.geometry.method import GEOMETRY
 from persem_ros.core.memory.blocks import directions
 from persem_ros.core.memory.evidence import TIE
+from persem_ros.core.refine.reach import at_hand
 from persem_ros.core.refine.selection import (
     CANDIDATE, CONTEXT, HISTORY, MAJORITY, METHODS, PROPOSED, TRUST, VERIFIED)
 from persem_ros.core.refine.snapshot import take
@@ -46,7 +47,8 @@ def explain(memory: VoxelMemory, voxel: NDArray[np.int32], settings: Refine) -> 
         proposes another label); label and source that follow from all this; stored_label and
         stored_source, what the map has; changed (True where it was observed after the map was
         refined); geometry, for that method what core.geometry.account.account returns, with
-        parameters fitted to the map as it is.
+        the map's parameters, or fitted ones where it has none; shapes and ground are those of the
+        last refinement where these are at hand.
 
     Raises
     ------
@@ -77,13 +79,22 @@ def explain(memory: VoxelMemory, voxel: NDArray[np.int32], settings: Refine) -> 
                            + settings.eta * soft.get(c, 0.0) for c in sorted({*shares, *soft})}
         trace['anchor_label'] = argmax(trace['anchor'], majority)
     if settings.method == 'geometry':
+        known = parameters_of(memory, settings)
+        taken = None if known is None else at_hand(memory, voxel, settings)
         found = trace['geometry'] = account(
-            memory, take(memory), number, settings, parameters_of(memory, settings))
+            memory, take(memory) if taken is None else taken, number, settings, known)
         trace['label'] = found['label']
         trace['source'] = GEOMETRY if found['label'] != majority else MAJORITY
     if settings.method in METHODS and trace['recurrent']:
         _decide(trace, *METHODS[settings.method], settings)
     return trace
+
+
+def quickly(memory: VoxelMemory, voxel: NDArray[np.int32], settings: Refine) -> bool:
+    """Return whether explain() need not look at the whole map."""
+    return settings.method != 'geometry' or (
+        parameters_of(memory, settings) is not None
+        and at_hand(memory, voxel, settings) is not None)
 
 
 def _decide(trace: dict[str, Any], anchor: bool, then: int, settings: Refine) -> None:

@@ -9,7 +9,7 @@ its columns (spec section 12); to label these, two rings more have to be looked 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, Optional
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,8 @@ from persem_ros.core.geometry.relief import Change, Relief, spread
 from persem_ros.core.geometry.shape import RADIUS
 from persem_ros.core.geometry.upright import up_of
 from persem_ros.core.jit import split
-from persem_ros.core.memory.pools import ROWS, sparse_zeros
+from persem_ros.core.memory.paging import block_numbers
+from persem_ros.core.memory.pools import ROWS, SIDE, sparse_zeros
 from persem_ros.core.refine import snapshot
 
 NO_BLOCKS = np.empty(0, np.int64)
@@ -80,6 +81,34 @@ def _part(memory: Any, settings: Any, change: Change, dirty: NDArray[np.int64],
     taken = snapshot.copied(memory, *(column[:end] for column in lists), ends[1])
     return replace(taken, relief=memory.relief, reshaped=_reshaped(memory, change, taken),
                    swept=ends[0])
+
+
+def at_hand(memory: Any, voxel: NDArray[np.int32],
+            settings: Any) -> Optional[snapshot.Snapshot]:
+    """
+    Return the Snapshot of one voxel and two rings around it, by the relief of the last refinement.
+
+    Nothing is brought up to date, so that a refinement may be under way. None where there is no
+    relief for the settings, or the voxel is newer than it.
+
+    """
+    relief = memory.relief
+    if relief is None or (relief.up, relief.window) != (
+            up_of(settings.up), settings.geometry.window):
+        return None
+    reach = np.arange(-SMOOTHED, SMOOTHED + 1)
+    steps = np.stack(np.meshgrid(reach, reach, reach, indexing='ij'), axis=-1).reshape(-1, 3)
+    index = (np.asarray(voxel) + steps).astype(np.int32)
+    block = block_numbers(memory, index >> 3)
+    place = index & 7
+    cell = (place[:, 0] * SIDE + place[:, 1]) * SIDE + place[:, 2].astype(np.int64)
+    known = (block >= 0) & (relief.bits[block, cell >> 3] >> (cell & 7) & 1 > 0)
+    if not known[len(steps) // 2]:
+        return None
+    order = np.flatnonzero(known)
+    order = order[np.lexsort((cell[order], block[order]))]      # as the whole map has them
+    taken = snapshot.copied(memory, block[order], cell[order], memory.find(index[order]), 0)
+    return replace(taken, relief=relief, reshaped=NO_BLOCKS)
 
 
 def _spread(blocks: Any, n: int, numbers: NDArray[np.int64], rows: NDArray[np.uint8],

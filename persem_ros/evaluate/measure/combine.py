@@ -32,7 +32,8 @@ def combined(results: dict[str, tuple[dict[str, Any], dict[str, NDArray[np.int64
     dict
         methods; sequences {name: summary}; macro, by place: sequences (how many have truth),
         share, truth_flicker, methods; differences {base: {place: {method: {measure: ...}}}}, as
-        intervals.differences; and the same for each sequence alone in by_sequence.
+        intervals.differences; the same with whole sequences drawn in between_sequences, and for
+        each sequence alone in by_sequence.
 
     """
     methods = next(iter(results.values()))[0]['methods_order']
@@ -52,6 +53,8 @@ def combined(results: dict[str, tuple[dict[str, Any], dict[str, NDArray[np.int64
         'differences': {base: intervals.differences(
             list(blocks.values()), methods, base, resamples, list(drawn.values()))
             for base in bases},
+        'between_sequences': {base: intervals.differences(
+            list(blocks.values()), methods, base, resamples, whole=True) for base in bases},
         'by_sequence': {name: {base: intervals.differences(
             [one], methods, base, resamples, [drawn[name]]) for base in bases}
             for name, one in blocks.items()}}

@@ -4,7 +4,8 @@ Paired block bootstrap: how sure the difference between two methods is.
 Consecutive frames are anything but independent, so whole stretches of them are drawn with
 replacement, the same ones for both methods, and the measures are computed anew from what was
 drawn. The map itself is not rebuilt: the interval says how much of a difference comes from which
-frames were looked at, not from which flight was flown.
+frames were looked at, not from which flight was flown. Where there are enough sequences these are
+drawn with replacement too, and say how much comes from which flight was flown.
 
 """
 
@@ -61,7 +62,8 @@ def resampled(
 
 def differences(
         sequences: list[dict[str, NDArray[Any]]], methods: Sequence[str], base: str,
-        resamples: int = RESAMPLES, drawn: list[NDArray[np.float64]] | None = None
+        resamples: int = RESAMPLES, drawn: list[NDArray[np.float64]] | None = None,
+        whole: bool = False
 ) -> dict[Any, Any]:
     """
     Return the macro-averaged gain of each method over *base* with its interval.
@@ -78,6 +80,9 @@ def differences(
         Number of draws.
     drawn : sequence of ndarray, optional
         What resampled() returned for each sequence, so that it is computed once for all bases.
+    whole : bool
+        Draw whole sequences, as they are, instead of their frames; no interval for fewer than
+        FEWEST of them.
 
     Returns
     -------
@@ -87,16 +92,24 @@ def differences(
         whose value rises or falls).
 
     """
-    if drawn is None:
+    if drawn is None and not whole:
         drawn = [resampled(blocks, seed, resamples) for seed, blocks in enumerate(sequences)]
     point = np.stack([measure(**{name: blocks[name].sum(0) for name in NEEDED})
                       for blocks in sequences])         # (sequences, places, methods, 3)
     b = list(methods).index(base)
     each = point - point[:, :, b:b + 1]
     known = np.isfinite(each)
-    total = sum(np.where(known[k], one - one[:, :, b:b + 1], 0.0) for k, one in enumerate(drawn))
+    times = known.sum(0)
+    if whole:
+        n = len(each)
+        draws = np.random.default_rng(0).multinomial(n, np.full(n, 1.0 / n), resamples) \
+            * (1.0 if n >= FEWEST else np.nan)
+        total, times = (np.tensordot(draws, a, 1) for a in (np.where(known, each, 0.0), known))
+    else:
+        total = sum(np.where(known[k], one - one[:, :, b:b + 1], 0.0)
+                    for k, one in enumerate(drawn))
     with np.errstate(invalid='ignore'):
-        total = total / known.sum(0)
+        total = total / times
         value = np.where(known, each, 0.0).sum(0) / known.sum(0)
     edge = (100.0 - COVERED) / 2
     low, high = np.percentile(total, [edge, 100.0 - edge], axis=0)

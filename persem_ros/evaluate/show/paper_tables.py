@@ -6,6 +6,7 @@ from typing import Any
 
 from persem_ros.evaluate.measure.combine import mean
 from persem_ros.evaluate.measure.counts import PLACES
+from persem_ros.evaluate.measure.intervals import FEWEST
 from persem_ros.evaluate.measure.measures import BETTER, MEASURES
 from persem_ros.evaluate.show.table import Cell, Column, marked, Table
 
@@ -32,6 +33,8 @@ def tables(evaluation: dict[str, Any]) -> list[Table]:
         found.append(by_sequence(evaluation))
     found += [gains(evaluation, base) for base in ('majority', 'raw2d')
               if base in evaluation['differences']]
+    if len(evaluation['sequences']) >= FEWEST and 'majority' in evaluation['differences']:
+        found.append(between(evaluation))
     if sum(m in methods for m in ABLATION) > 2:
         found.append(ablation(evaluation))
     if {'context_history', 'persem'} <= set(methods):
@@ -80,6 +83,18 @@ def gains(evaluation: dict[str, Any], base: str) -> Table:
     title = f'Difference from {base}, points, {_of(evaluation)}'
     return Table(f'gains_over_{base}', title, head, measures(signed=True), rows,
                  notes(evaluation, True))
+
+
+def between(evaluation: dict[str, Any]) -> Table:
+    """Return the gains over majority with intervals from sequences drawn with replacement."""
+    found = evaluation['between_sequences']['majority']['all']
+    rows = [((name,), tuple(_interval(row[key]) for key in MEASURES))
+            for name, row in found.items()]
+    how = evaluation['interval']
+    return Table('between_sequences', f'Difference from majority, points, {_of(evaluation)} drawn '
+                 'with replacement', ('method',), measures(signed=True), rows,
+                 (*notes(evaluation), f'In brackets: {how["covered_percent"]:.0f} % intervals, '
+                  f'whole sequences drawn with replacement, {how["resamples"]} resamples.'))
 
 
 def ablation(evaluation: dict[str, Any]) -> Table:

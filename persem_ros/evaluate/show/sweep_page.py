@@ -34,8 +34,10 @@ def write(folder: Path, result: dict[str, Any], item: Table) -> None:
 
 
 def figures(result: dict[str, Any]) -> Iterator[tuple[str, str, Any]]:
-    """Yield (name, caption, figure): curves for one axis, heat maps for two."""
+    """Yield (name, caption, figure): curves for one axis, heat maps for two, else none."""
     axes = list(result['axes'])
+    if result['each']:
+        return
     if len(axes) == 1:
         yield ('curves', f'Accuracy, flicker, time and size of the map over {axes[0]}; thick: '
                'mean, thin: each sequence, dashed: truth.', curves(result, axes[0]))

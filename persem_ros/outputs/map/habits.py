@@ -41,7 +41,7 @@ def from_blob(blob: Any) -> tuple[Arrays, tuple[Any, ...]]:
             at += n * np.dtype(kind).itemsize
         up, *constants = head['fitted_by']
         if at != len(blob) or not sound(arrays) or type(up) is not str or \
-                not all(type(x) in (int, float) for x in constants):
+                not all(type(x) in (int, float, str) for x in constants):
             raise ValueError
     except (ValueError, TypeError, KeyError, struct.error, RecursionError):
         raise ValueError('parameters of the method geometry') from None
