@@ -16,6 +16,7 @@ from persem_ros.core.memory.capture import dump
 from persem_ros.core.memory.changes import Changes
 from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.evict import keep_near
+from persem_ros.core.memory.move import moved
 from persem_ros.core.memory.paging import block_numbers
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine.job import begin_next, finish, label, refine
@@ -63,7 +64,7 @@ def warm_up() -> None:
     refine(many, geometry)
     job = begin_next(memory, Refine(), fresh=True)
     finish(job, *job.compute())
-    memory = load(dump(memory))
+    memory = load(moved(dump(memory), memory.frames.best + 1e-3, memory.frames.t >= 0))
     first = memory.voxels()['voxel'][0]
     memory.evidence(first)
     regions(memory)
