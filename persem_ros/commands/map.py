@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any, TYPE_CHECKING
 
-from persem_ros.commands import map_export, map_forget, map_georeference, map_merge
+from persem_ros.commands import (
+    map_export, map_forget, map_georeference, map_merge, map_move)
 from persem_ros.errors import PersemError
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ def add_parser(subparsers: _SubParsersAction[Any]) -> None:
     """Add the sub-command and its own sub-commands."""
     parser = subparsers.add_parser(
         'map', help='look into a map file, hand it on: info, query, export, georeference, merge, '
-                    'forget',
+                    'move, forget',
         description='Looks into a map file (.persem) as a replay or ~/save_map leaves it.')
     actions = parser.add_subparsers(metavar='ACTION', required=True)
 
@@ -32,6 +33,7 @@ def add_parser(subparsers: _SubParsersAction[Any]) -> None:
     map_export.add_parser(actions)
     map_georeference.add_parser(actions)
     map_merge.add_parser(actions)
+    map_move.add_parser(actions)
     map_forget.add_parser(actions)
 
     query_parser = actions.add_parser(

@@ -9,6 +9,9 @@ from persem_ros.errors import PersemError
 if TYPE_CHECKING:
     from argparse import _SubParsersAction, Namespace
 
+    import numpy as np
+    from numpy.typing import NDArray
+
 
 def add_parser(actions: _SubParsersAction[Any]) -> None:
     """Add the action to persem map."""
@@ -20,6 +23,9 @@ def add_parser(actions: _SubParsersAction[Any]) -> None:
     parser.add_argument('files', metavar='FILE', nargs='+', help='map files (.persem)')
     parser.add_argument('--out', metavar='FILE', required=True, help='the new map file')
     parser.add_argument('--force', action='store_true', help='replace FILE where it exists')
+    parser.add_argument('--transform', metavar='X', type=float, nargs=7,
+                        help='x y z qx qy qz qw: move the second of two maps first, from its '
+                             'frame to that of the first')
     names = parser.add_mutually_exclusive_group()
     names.add_argument('--by-id', action='store_true',
                        help='ids mean the same in all files, whatever their legends say')
@@ -35,6 +41,7 @@ def run(args: Namespace) -> None:
     from persem_ros.core.refine.job import refine
     from persem_ros.outputs.map import store
     from persem_ros.outputs.map.merge import merge
+    from persem_ros.outputs.map.move import transformed
     from persem_ros.settings.legend import load_legend
     out = Path(args.out)
     if len(args.files) < 2:
@@ -44,8 +51,16 @@ def run(args: Namespace) -> None:
         raise PersemError(f'{out} is one of the maps to be merged; give another name with --out')
     if out.exists() and not args.force:
         raise PersemError(f'{out} exists; give another name with --out, or --force to replace it')
+    if args.transform and len(args.files) != 2:
+        raise PersemError(f'--transform moves the second of two maps, got {len(args.files)}; '
+                          'merge them two by two')
+    T = _matrix(args.transform) if args.transform else None
     maps = [store.load(file) for file in args.files]
+    if T is not None:
+        maps[1] = transformed(maps[1], T)
     done = merge(maps, args.by_id, load_legend(args.legend) if args.legend else None)
+    if T is not None:
+        done.exact = False
     config = maps[0].config()
     refine(done.memory, config.refine)
     store.save(out, done.memory, config, done.legend)
@@ -55,3 +70,9 @@ def run(args: Namespace) -> None:
           f'{len(done.memory.frames.sessions)} sessions in {out}: '
           + ('equal to one run over all recordings' if done.exact else
              'not what one run over all recordings gives, but all that was kept'))
+
+
+def _matrix(numbers: list[float]) -> NDArray[np.float64]:
+    """Return the 4x4 matrix of --transform."""
+    from persem_ros.inputs.trajectory import pose_of_numbers
+    return pose_of_numbers(numbers, '--transform')

@@ -161,7 +161,7 @@ def slerps(q0: NDArray[np.float64], q1: NDArray[np.float64],
 
 
 def quaternions(R: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the unit quaternions (x, y, z, w), shape (n, 4), of rotations (n, 3, 3)."""
+    """Return x, y, z, w of rotations (n, 3, 3): unit quaternions, shape (n, 4)."""
     diagonal = R[:, 0, 0], R[:, 1, 1], R[:, 2, 2]
     products = np.empty((len(R), 4, 4))         # 4 q q^T
     for i in range(3):
@@ -177,7 +177,7 @@ def quaternions(R: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def rotations(q: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rotations (n, 3, 3) of unit quaternions (x, y, z, w), shape (n, 4)."""
+    """Return what unit quaternions (n, 4), x y z w, turn by: matrices (n, 3, 3)."""
     x, y, z, w = q.T
     return np.stack([
         1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w),

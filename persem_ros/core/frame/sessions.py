@@ -64,8 +64,11 @@ def add_session(memory: VoxelMemory, saved: MemoryDump, session: int, ids: NDArr
                 shift: NDArray[np.int64]) -> None:
     """Have a memory see a session of a dump again, as a new session of its own."""
     memory.new_session()
-    for seen in observations_of(saved, session, ids, shift):
+    best = saved.frames.best[saved.frames.session == session]
+    for seen, T in zip(observations_of(saved, session, ids, shift), best):
         memory.add(seen)
+        if not np.array_equal(seen.T_map_sensor, T):
+            memory.frames.note_best(T)
     there = saved.frames.sessions[session]
     memory.frames.sessions[memory.session] = Session(there.uuid, dict(there.mounts))
 

@@ -143,9 +143,9 @@ def enter(memory: VoxelMemory, saved: Blocks) -> NDArray[np.int64]:
     memory.make_room(len(block), len(saved.history_frame) // CHUNK + 2 * n
                      + len(saved.evidence_sum))
     _write(memory.m, memory.table, saved.block_index, saved.block_start, saved.cell,
-           saved.observations, saved.evidence_start, saved.evidence_class, saved.evidence_sum,
-           saved.history_start, saved.history_label, saved.history_confidence, saved.history_frame,
-           saved.history_offset, saved.dirty, block, number)
+           np.ascontiguousarray(saved.observations), saved.evidence_start, saved.evidence_class,
+           saved.evidence_sum, saved.history_start, saved.history_label, saved.history_confidence,
+           saved.history_frame, saved.history_offset, saved.dirty, block, number)
     memory.relief = None
     memory.growth = None        # some may have the numbers of blocks that left
     for field in ('switches', 'label', 'majority', 'last', 'first_label', 'source', 'gone'):

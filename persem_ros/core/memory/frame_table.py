@@ -172,6 +172,12 @@ class FrameTable:
             self._best[f:end] = placed if best is None else best
         self._n = end
 
+    def note_best(self, T_map_best: NDArray[np.float64]) -> None:
+        """Enter what is known of the pose of the last frame; nobody has a copy with it yet."""
+        if self._best is None:
+            self._best = _longer(self.placed, len(self._placed))
+        self._best[self._n - 1] = T_map_best
+
     def copy(self) -> FrameTable:
         """Return the table as it is now; rows are shared, for none is ever changed in place."""
         other = FrameTable()

@@ -17,7 +17,7 @@ from persem_ros.core.memory.frame_table import FrameTable
 from persem_ros.core.memory.pools import SIDE
 from persem_ros.core.memory.regroup import (
     bounds, displace, gather, leaving, number, ordered, recount)
-from persem_ros.core.trajectory import correction, Correction, inverses, Trajectory
+from persem_ros.core.trajectory import Correction, correction, inverses, Trajectory
 from persem_ros.errors import PersemError
 
 TOO_FAR = 'a corrected pose takes observations too far away for voxels of {} m'
@@ -152,7 +152,7 @@ def regrouped(voxels: NDArray[np.int32], owner: NDArray[np.int32], gone: NDArray
     """
     n, leaves = len(owner), np.zeros(len(moves), np.uint8)
     voxels, gone, labels, confidences, frames, offsets, moves = (
-        np.require(column, kind, 'CW') for column, kind in (
+        np.require(column, kind, ('C', 'W')) for column, kind in (
             (voxels, np.int32), (gone, np.uint8), (labels, np.uint16), (confidences, np.float32),
             (frames, np.int32), (offsets, np.uint8), (moves, np.uint8)))
     leaving(voxels, owner, frames, offsets, turns, moves, size, leaves)
@@ -162,8 +162,8 @@ def regrouped(voxels: NDArray[np.int32], owner: NDArray[np.int32], gone: NDArray
     low, span, keys = _keys(out)
     del out
     order = ordered(keys, frames, len(moves), int(keys.max(initial=0)))
-    kept = (np.empty(n, np.uint16), np.empty(n, np.float32), np.empty(n, np.int32),
-            np.empty((n, 3), np.uint8))
+    kept: list[NDArray[Any]] = [np.empty(n, np.uint16), np.empty(n, np.float32),
+                                np.empty(n, np.int32), np.empty((n, 3), np.uint8)]
     start, where = np.zeros(n + 1, np.int64), np.empty(n, np.int64)
     old, all_gone = np.empty(n, np.int64), np.empty(n, np.uint8)
     counts = np.bincount(owner, minlength=len(voxels))

@@ -149,7 +149,6 @@ def gather(order, keys, frames, owner, voxels, counts, gone, leaves, labels, con
     n, v, at = 0, -1, 0
     sums = np.zeros(65536)
     N = len(order)
-    touched = False
     while at < N:
         key, f = keys[order[at]], frames[order[at]]
         end = at + 1

@@ -137,6 +137,13 @@ class MessageFactory:
         return 'nav_msgs/msg/Odometry', self.make('nav_msgs/msg/Odometry', header, child_frame,
                                                   pose, twist)
 
+    def path(self, stamp: int, frame_id: str, poses: list[tuple[int, NDArray[np.float64]]],
+             own_frame: str | None = None) -> Any:
+        """Return a nav_msgs/Path of (stamp, T); poses name *own_frame*, where it is given."""
+        own = frame_id if own_frame is None else own_frame
+        items = [self.pose(at, own, T)[1] for at, T in poses]
+        return self.make('nav_msgs/msg/Path', self.header(stamp, frame_id), items)
+
     def cloud(self, stamp: int, frame_id: str, points: NDArray[np.void]) -> Any:
         """
         Return a sensor_msgs/PointCloud2 with one field per field of *points*.
