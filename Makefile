@@ -25,7 +25,9 @@ PEP257 := --ignore=D100,D101,D102,D103,D104,D105,D106,D107,D203,D212,D404 --matc
 # A sourced ROS would put its own pytest plugins and messages into our environment.
 unexport PYTHONPATH
 
+# Kernels are compiled before the processes that test, which would all compile them.
 test: $(VENV)/installed-test
+	$(RUN) -m persem_ros.core.warmup
 	$(RUN) -m pytest -q -n $(WORKERS) --dist loadfile $(ARGS)
 
 demo: $(VENV)/installed

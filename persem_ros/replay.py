@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, ExitStack
-import functools
 import logging
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
@@ -283,7 +282,7 @@ def replay(path: Path | str, out: Path | str, config: Config, methods: Sequence[
         memory = start_map(config)
         inputs = [part for given in paths for part in finding.split(given)]
         with rundir.building(out, force, keep=(*inputs, config.map.path)) as folder:
-            compile_kernels()
+            compile_kernels(methods)
             watchers = [*watchers, *([ReportWatcher()] if report else [])]
             job = Replay(recording, folder, config, methods, watchers, memory)
             job.out = Path(out)
@@ -308,11 +307,11 @@ def opened_all(paths: Sequence[str | Path], config: Config,
     return recordings
 
 
-@functools.cache
-def compile_kernels() -> None:
-    """Compile or load the kernels, once a process; say so when it takes long."""
-    with Announcement():
-        warm_up()
+def compile_kernels(methods: tuple[str, ...]) -> None:
+    """Compile or load the kernels of *methods*, once a process; say so when it takes long."""
+    geometry = 'geometry' in methods
+    with Announcement(*['geometry'] if geometry else []):
+        warm_up(geometry)
 
 
 def chosen_methods(methods: Sequence[str] | None, config: Config) -> tuple[str, ...]:

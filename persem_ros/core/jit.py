@@ -10,6 +10,7 @@ import hashlib
 import logging
 import os
 from pathlib import Path
+import re
 import tempfile
 import threading
 from typing import Any
@@ -18,6 +19,9 @@ import numba
 import numpy as np
 
 log = logging.getLogger(__name__)
+PACKAGE = Path(__file__).resolve().parents[1]
+WARM_UP = str(PACKAGE / 'core' / 'warmup.py')       # imports every kernel
+IMPORT = re.compile(r'^ *from (persem_ros[\w.]*) import (\([^)]*\)|.*)', re.MULTILINE)
 COMPLETE = 'complete'   # a file beside the compiled kernels, once all of them are there
 KERNELS = []            # every compiled function, for warm-up and for the test that counts them
 _pool = None
@@ -38,7 +42,8 @@ def kernel(function: Callable[..., Any]) -> Any:
 
 def cached(function: Callable[..., Any]) -> Any:
     """Compile a function of any part of the package; the result goes to the kernels' folder."""
-    before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, cache_folder()
+    before = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = cache_folder(function.__code__.co_filename)
     try:
         return numba.njit(cache=True, nogil=True, error_model='numpy')(function)
     finally:
@@ -46,19 +51,19 @@ def cached(function: Callable[..., Any]) -> Any:
 
 
 @functools.cache
-def cache_folder() -> str:
+def cache_folder(source: str) -> str:
     """
-    Return the folder of the compiled kernels: the user's cache, else a temporary one.
+    Return the folder of the kernels in the file *source*: in the user's cache, else a temporary.
 
     Not beside the source: an installed package may be read-only, and pip leaves behind what it
     did not install, a folder 'persem_ros' that would hide a later installation. The folder is
-    named after the content of the core: numba looks at the date of a kernel's own file only, and
-    would go on using what it had inlined from another.
+    named after the content of the file and of all that it imports of the package: numba looks at
+    the date of a kernel's own file only, and would go on using what it had inlined from another.
 
     """
     digest = hashlib.sha256(f'{numba.__version__} {np.__version__}'.encode())
-    for source in sorted(Path(__file__).parent.rglob('*.py')):
-        digest.update(source.read_bytes())
+    for path in sorted(imported(Path(source))):
+        digest.update(path.read_bytes())
     name = f'kernels-{digest.hexdigest()[:16]}'
     home = os.environ.get('XDG_CACHE_HOME') or os.path.expanduser('~/.cache')
     for root in (os.environ.get('NUMBA_CACHE_DIR'), Path(home) / 'persem_ros',
@@ -74,12 +79,40 @@ def cache_folder() -> str:
     return str(folder)      # numba says what is wrong with it
 
 
-def mark_complete() -> None:
-    """Note that every kernel has been compiled, so that nobody is told of it again."""
+def imported(source: Path) -> set[Path]:
+    """Return the file *source*, those of the package that it imports, and what these import."""
+    found: set[Path] = set()
+    ahead = [source.resolve()]
+    while ahead:
+        path = ahead.pop()
+        if path not in found:
+            found.add(path)
+            ahead += imports(path)
+    return found
+
+
+@functools.cache
+def imports(source: Path) -> list[Path]:
+    """Return the files of the package that the file *source* imports itself."""
+    found = []
+    for module, names in IMPORT.findall(source.read_text(encoding='utf-8')):
+        path = PACKAGE.parent.joinpath(*module.split('.'))
+        found += [path / f'{name}.py' for name in re.findall(r'\w+', names)]
+        found.append(path.with_suffix('.py'))
+    return [path for path in found if path.is_file()]
+
+
+def mark_complete(what: str = COMPLETE) -> None:
+    """Note that these kernels have been compiled, so that nobody is told of it again."""
     try:
-        Path(cache_folder(), COMPLETE).touch()
+        Path(cache_folder(WARM_UP), what).touch()
     except OSError:
         pass
+
+
+def is_complete(what: str = COMPLETE) -> bool:
+    """Return whether that was noted."""
+    return Path(cache_folder(WARM_UP), what).exists()
 
 
 def inlined(function: Callable[..., Any]) -> Any:
@@ -156,12 +189,16 @@ def keep_memory() -> None:
 class Announcement:
     """Say that kernels are being compiled, but only when it takes long enough to be noticed."""
 
+    def __init__(self, *which: str) -> None:
+        """Of the kernels that all need, and of *which* besides: ``geometry``."""
+        self._which = (COMPLETE, *which)
+
     def __enter__(self) -> Announcement:
         """Start the clock, unless the kernels are in the cache and only have to be loaded."""
         self._timer = threading.Timer(1.5, log.warning, [
             'compiling the kernels, once (about a minute); later starts load them from a cache'])
         self._timer.daemon = True
-        if not Path(cache_folder(), COMPLETE).exists():
+        if not all(map(is_complete, self._which)):
             self._timer.start()
         return self
 

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 import functools
+import os
+import subprocess
+import sys
+import time
 
 import numpy as np
 from persem_ros.core.frame.images import placed, points
-from persem_ros.core.frame.observe import observe
+from persem_ros.core.frame.observe import Observations, observe
 from persem_ros.core.frame.render import render, render_map, voxel_image, voxel_image_of
 from persem_ros.core.frame.smoothing import EmaImages
 from persem_ros.core.frame.stride import thinned
-from persem_ros.core.jit import keep_memory, mark_complete
+from persem_ros.core.jit import is_complete, keep_memory, mark_complete, threads
 from persem_ros.core.memory.capture import dump
 from persem_ros.core.memory.changes import Changes
 from persem_ros.core.memory.dump import load
@@ -24,44 +29,95 @@ from persem_ros.core.refine.regions import regions
 from persem_ros.frames import Frame, pinhole
 from persem_ros.settings.config import Memory, METHODS, Refine
 
+BESIDE = 'from persem_ros.core.warmup import warm_up_geometry; warm_up_geometry()'
+
 
 @functools.cache
-def warm_up() -> None:
+def warm_up(geometry: bool = True) -> None:
     """
     Compile all kernels of the core, or load them from the cache; once a process.
 
-    The first time takes about a minute, later ones well below a second (core.jit.Announcement
-    says so to the user). Besides it tells the C library to keep freed memory (keep_memory).
+    The first time takes most of a minute, later ones one to three seconds (core.jit.Announcement
+    says so to the user). Compiling is Python's work, which threads cannot share; the kernels of
+    the method geometry, more than half of all, are therefore compiled by a process beside (71 s
+    became 50 on two threads of one core; 30 without geometry). Besides it tells the C library to
+    keep freed memory (keep_memory).
+
+    Parameters
+    ----------
+    geometry : bool
+        Whether also those of the method geometry.
 
     """
     keep_memory()
-    memory = VoxelMemory(0.01, max_history=8)       # small voxels: tables grow, too
-    camera = pinhole(160, 120, 100.0, 100.0, 80.0, 60.0)
-    labels = (np.arange(120 * 160, dtype=np.int32) % 3).reshape(120, 160)
-    depth = np.full((120, 160), 3.0)
-    for k in range(20):
-        frame = Frame(k, np.roll(labels, k), depth, camera)
-        seen_points, ids = points(frame, Memory())
-        seen = observe(seen_points, ids, frame.T_map_camera, memory.voxel_size, stamp=k)
-        memory.add(seen)
-    thinned(frame, Memory(stride=0))
-    for method in METHODS:
-        label(memory, method, Refine())
-    refine(memory, Refine())
-    memory.add(seen)
-    refine(memory, Refine(), full=False)
+    memory = _mapped()
+    with _Beside(geometry and not is_complete('geometry')) as beside:
+        _refined(memory)
+        if not is_complete():
+            mark_complete()
+        if geometry:
+            _many_classes()
+            beside.wait()
+            warm_up_geometry()
+
+
+def warm_up_geometry() -> None:
+    """Compile the kernels of the method geometry."""
+    memory = _mapped()
     geometry = replace(Refine(), method='geometry')
+    label(memory, 'geometry', geometry)
     refine(memory, geometry)
-    memory.add(seen)
+    memory.add(_seen(memory))
+    refine(memory, geometry, full=False)
+    memory.add(_seen(memory))
     for _ in range(2):
         job = begin_next(memory, geometry)
         finish(job, *job.compute())
     memory = load(dump(memory))
     refine(memory, geometry, full=False)
-    many = VoxelMemory(memory.voxel_size)           # more classes than the dense form takes
-    many.add(observe(seen_points, (np.arange(len(seen_points)) % 80).astype(ids.dtype),
-                     frame.T_map_camera, memory.voxel_size))
-    refine(many, geometry)
+    mark_complete('geometry')
+
+
+def _many_classes() -> None:
+    """Compile what stands in for some of them where classes are more than the dense form takes."""
+    memory = VoxelMemory(0.01)
+    memory.add(_seen(memory, classes=80))
+    refine(memory, replace(Refine(), method='geometry'))
+
+
+def _mapped() -> VoxelMemory:
+    """Return a memory of twenty frames; its voxels are small, so that tables grow, too."""
+    memory = VoxelMemory(0.01, max_history=8)
+    for k in range(20):
+        memory.add(_seen(memory, k))
+    return memory
+
+
+def _frame(k: int = 0, classes: int = 3) -> Frame:
+    """Return the k-th frame."""
+    camera = pinhole(160, 120, 100.0, 100.0, 80.0, 60.0)
+    labels = (np.arange(120 * 160, dtype=np.int32) % classes).reshape(120, 160)
+    return Frame(k, np.roll(labels, k), np.full((120, 160), 3.0), camera)
+
+
+def _seen(memory: VoxelMemory, k: int = 20, classes: int = 3) -> Observations:
+    """Return the observations of the k-th frame."""
+    frame = _frame(k, classes)
+    seen_points, ids = points(frame, Memory())
+    return observe(seen_points, ids, frame.T_map_camera, memory.voxel_size, stamp=k)
+
+
+def _refined(memory: VoxelMemory) -> None:
+    """Do with *memory* all that is done with one, but for the method geometry."""
+    frame = _frame()
+    thinned(frame, Memory(stride=0))
+    for method in METHODS:
+        if method != 'geometry':
+            label(memory, method, Refine())
+    refine(memory, Refine())
+    seen = _seen(memory)
+    memory.add(seen)
+    refine(memory, Refine(), full=False)
     job = begin_next(memory, Refine(), fresh=True)
     finish(job, *job.compute())
     memory = load(moved(dump(memory), memory.frames.best + 1e-3, memory.frames.t >= 0))
@@ -69,12 +125,46 @@ def warm_up() -> None:
     memory.evidence(first)
     regions(memory)
     labelled = label(memory, 'majority', Refine())[0]
-    render(voxel_image(memory, seen, depth.shape), labelled)
-    render_map(memory, voxel_image(memory, seen, depth.shape), source=True)
+    shape = frame.depth.shape
+    render(voxel_image(memory, seen, shape), labelled)
+    render_map(memory, voxel_image(memory, seen, shape), source=True)
     Changes().take(memory)
     block_numbers(memory, np.zeros((1, 3), np.int32))
     pixels = placed(frame, Memory(), memory.voxel_size, memory.origin)
-    render(voxel_image_of(memory, *pixels, depth.shape), labelled)
-    EmaImages(0.5).update(labels)
+    render(voxel_image_of(memory, *pixels, shape), labelled)
+    EmaImages(0.5).update(frame.labels)
     keep_near(memory, (0.0, 0.0, 0.0), max_voxels=memory.n_voxels // 2)
-    mark_complete()
+
+
+class _Beside:
+    """A process that compiles the kernels of geometry meanwhile, where a core is free for it."""
+
+    def __init__(self, wanted: bool) -> None:
+        """Start it if *wanted*."""
+        self._process = None
+        if wanted and threads() > 1 and sys.executable:
+            with suppress(OSError):
+                self._process = subprocess.Popen(
+                    [sys.executable, '-c', BESIDE], stdin=subprocess.DEVNULL,
+                    stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                    start_new_session=True,     # Ctrl-C is for us, and we end it
+                    env={**os.environ, 'PYTHONPATH': os.pathsep.join(filter(None, sys.path))})
+
+    def __enter__(self) -> _Beside:
+        """Return it."""
+        return self
+
+    def wait(self) -> None:
+        """Wait for its end; what it did not do is compiled here."""
+        while self._process and self._process.poll() is None:
+            time.sleep(0.02)        # an interrupt comes between two of these
+
+    def __exit__(self, *_: object) -> None:
+        """End it where it is no longer wanted."""
+        if self._process and self._process.poll() is None:
+            self._process.kill()
+            self._process.wait()
+
+
+if __name__ == '__main__':
+    warm_up()

@@ -1,6 +1,7 @@
 """How the node ends: SIGINT, SIGTERM and SIGHUP are one wish, and asking twice changes nothing."""
 
 import signal
+import sys
 import threading
 from types import FrameType
 
@@ -30,6 +31,8 @@ class Ending:
         for number in SIGNALS:
             if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # nohup
                 signal.signal(number, self._take)
+        signal.signal(signal.SIGALRM, self._again)
+        sys.unraisablehook = self._unraisable
 
     @property
     def wanted(self) -> bool:
@@ -53,4 +56,15 @@ class Ending:
         first = not self._wanted.is_set()
         self._wanted.set()
         if first and not self.patient:
+            raise KeyboardInterrupt
+
+    def _unraisable(self, info: 'sys.UnraisableHookArgs') -> None:
+        """Raise an interrupt anew that struck where exceptions are lost; pass on anything else."""
+        if issubclass(info.exc_type, KeyboardInterrupt):
+            signal.setitimer(signal.ITIMER_REAL, 0.01)
+        else:
+            sys.__unraisablehook__(info)
+
+    def _again(self, number: int, frame: FrameType | None) -> None:
+        if not self.patient:
             raise KeyboardInterrupt

@@ -8,6 +8,7 @@ import time
 
 from persem_ros.core.jit import work_alone
 from persem_ros.core.refine.job import abandon, at_rest, begin_next, finish, swept
+from persem_ros.core.warmup import warm_up
 from persem_ros.errors import PersemError
 
 NICE = 10       # above the priority of the process, where 19 is least
@@ -114,6 +115,8 @@ class Refiner:
 
     def _compute(self, job):
         try:
+            if job.settings.method == 'geometry':       # chosen while the node was running
+                warm_up(True)
             return job.compute()
         finally:
             self._wake()

@@ -140,8 +140,9 @@ class Worker(threading.Thread):
     def run(self):
         """Work until stopped; whatever goes wrong is logged and counted."""
         try:
-            with Announcement():
-                self._guarded(warm_up)
+            geometry = self.config.refine.method == 'geometry'
+            with Announcement(*['geometry'] if geometry else []):
+                self._guarded(warm_up, geometry)
             self.intake.begin()
             self.ready.set()
             log.info('ready')

@@ -54,7 +54,7 @@ class Trial:
 
     def warm_up(self):
         """Import, compile and load everything, so that it is no part of what an input takes."""
-        compile_kernels()
+        compile_kernels(('geometry',))
         for kind in SHARES:
             for number in range(12):
                 self.run(kind, number)

@@ -51,7 +51,7 @@ classes:
 @pytest.fixture(scope='module', autouse=True)
 def compiled():
     """Compile all kernels, lest a line say so when the first replay does."""
-    compile_kernels()
+    compile_kernels(('geometry',))
 
 
 @pytest.fixture(scope='module')

@@ -25,7 +25,7 @@ ALL = set(FILES)
 @pytest.fixture(scope='module', autouse=True)
 def compiled():
     """Compile all kernels, lest a line say so when the first replay does."""
-    compile_kernels()
+    compile_kernels(('geometry',))
 
 
 @pytest.fixture(scope='module')

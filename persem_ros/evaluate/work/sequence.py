@@ -70,7 +70,7 @@ def evaluate_sequence(
     """
     with PeakMemory() as peak, opened(task.recording, task.config, True,
                                       task.excerpt) as recording:
-        warm_up()
+        warm_up('geometry' in task.methods)
         sequence = Sequence(task, recording, tick)
         sequence.integrate()
         sequence.label()
