@@ -16,7 +16,7 @@ from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine.regions import regions
 from persem_ros.core.warmup import warm_up
 from persem_ros.errors import PersemError
-from persem_ros.inputs.recording import finding
+from persem_ros.inputs.recording import corrected, finding
 from persem_ros.inputs.recording.excerpt import Excerpt, WHOLE
 from persem_ros.inputs.recording.recording import Recording
 from persem_ros.inputs.recording.sessions import Sessions
@@ -41,6 +41,7 @@ from persem_ros.settings.legend import Legend
 
 if TYPE_CHECKING:
     from persem_ros.core.frame.observe import Observations
+    from persem_ros.core.trajectory import Trajectory
     from persem_ros.frames import Frame
     from persem_ros.rendering import Rendering
 
@@ -236,7 +237,8 @@ class Replay:
 
 def replay(path: Path | str, out: Path | str, config: Config, methods: Sequence[str] | None = None,
            causal: bool = False, force: bool = False, watchers: Sequence[Any] = (),
-           report: bool = True, excerpt: Any = WHOLE) -> dict[str, Any]:
+           report: bool = True, excerpt: Any = WHOLE,
+           trajectory: Trajectory | None = None) -> dict[str, Any]:
     """
     Replay a recording into a folder (spec section 8).
 
@@ -261,6 +263,9 @@ def replay(path: Path | str, out: Path | str, config: Config, methods: Sequence[
         Write report.html.
     excerpt : persem_ros.inputs.recording.excerpt.Excerpt
         Which frames of each recording are used.
+    trajectory : persem_ros.core.trajectory.Trajectory, optional
+        Corrects the poses of the recording of its time; else that on topics.trajectory, where
+        there is one, does.
 
     Returns
     -------
@@ -278,6 +283,7 @@ def replay(path: Path | str, out: Path | str, config: Config, methods: Sequence[
     with ExitStack() as stack:
         recording = stack.enter_context(Sessions(opened_all(paths, config, excerpt)))
         config = recording.recordings[-1].config    # with what the looks before took over
+        correct_poses(recording.recordings, trajectory)
         lock = stack.enter_context(attached(config))
         memory = start_map(config)
         inputs = [part for given in paths for part in finding.split(given)]
@@ -305,6 +311,24 @@ def opened_all(paths: Sequence[str | Path], config: Config,
             recording.close()
         raise
     return recordings
+
+
+def correct_poses(recordings: Sequence[Recording], trajectory: Trajectory | None) -> None:
+    """Have recordings give their frames by corrected poses, where there are any."""
+    if trajectory is None:
+        for recording in recordings:
+            own = corrected.named(recording)
+            if own is not None:
+                log.info('%s', corrected.correct(recording, own))
+        return
+    errors = []
+    for recording in recordings:
+        try:
+            log.info('%s', corrected.correct(recording, trajectory))
+        except PersemError as error:
+            errors.append(error)
+    if len(errors) == len(recordings):
+        raise errors[0]
 
 
 def compile_kernels(methods: tuple[str, ...]) -> None:

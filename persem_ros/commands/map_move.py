@@ -18,7 +18,8 @@ def add_parser(actions: _SubParsersAction[Any]) -> None:
     parser.add_argument('file', metavar='FILE', help='a map file (.persem); it is replaced')
     parser.add_argument('--trajectory', metavar='FILE', required=True,
                         help='poses of what the pose topic places, in the frame of the map: '
-                             'lines of "stamp x y z qx qy qz qw" (TUM)')
+                             'lines of "stamp x y z qx qy qz qw" (TUM), or a recording with a '
+                             'nav_msgs/Path')
     parser.add_argument('--session', type=int, metavar='N',
                         help='its number, the first is 0 (default: the only one of that time)')
     parser.set_defaults(run=run)
@@ -31,12 +32,12 @@ def run(args: Namespace) -> None:
     import numpy as np
     from persem_ros.core.memory.dump import load
     from persem_ros.core.refine.job import refine
-    from persem_ros.inputs.trajectory import from_tum
+    from persem_ros.inputs.recording.corrected import load as load_trajectory
     from persem_ros.outputs.map import store
     from persem_ros.outputs.map.lock import WriterLock
     from persem_ros.outputs.map.move import move_session, session_of
-    trajectory = from_tum(args.trajectory)
     stored = store.load(args.file)
+    trajectory = load_trajectory(args.trajectory, stored.map_frame)
     with closing(WriterLock(stored.path)):
         store.fold_log(stored.path, locked=True)
         stored = store.load(args.file)

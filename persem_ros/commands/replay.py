@@ -42,6 +42,10 @@ def add_parser(subparsers: _SubParsersAction[Any]) -> None:
                              "(pip install 'persem_ros[viewer]')")
     parser.add_argument('--figure', metavar='FILE.png',
                         help='write a picture of one frame and the map as well')
+    parser.add_argument('--trajectory', metavar='FILE',
+                        help='corrected poses of what the pose topic places, in the frame of the '
+                             'map: lines of "stamp x y z qx qy qz qw" (TUM), or a recording with '
+                             'a nav_msgs/Path')
     add_excerpt(parser)
     add_settings(parser)
     parser.set_defaults(run=run)
@@ -53,11 +57,13 @@ def run(args: Namespace) -> None:
     from pathlib import Path
 
     from persem_ros.commands import excerpt_of
+    from persem_ros.inputs.recording.corrected import load
     from persem_ros.inputs.recording.finding import split
     from persem_ros.outputs.results.rundir import check_extra, FILES
     from persem_ros.replay import replay
     from persem_ros.settings import config_file
     config = config_file.from_args(args.config, args.set_items)
+    trajectory = load(args.trajectory, config.frames.map) if args.trajectory else None
     methods = [name.strip() for name in (args.methods or '').split(',') if name.strip()]
     used = (*(part for bag in args.bags for part in split(bag)), config.map.path,
             *(Path(args.out, name) for name in FILES))
@@ -74,7 +80,7 @@ def run(args: Namespace) -> None:
             from persem_ros.outputs.report.figure import FigureWatcher
             watchers.append(FigureWatcher(args.figure))
         result = replay(args.bags, args.out, config, methods, args.causal, args.force, watchers,
-                        excerpt=excerpt_of(args))
+                        excerpt=excerpt_of(args), trajectory=trajectory)
     print(summary(result, truth.missing, truth.reasons))
     print(f'\nresults in {args.out}, to be looked at: {Path(args.out) / "report.html"}')
 

@@ -34,6 +34,9 @@ NUMBERS = (
                                                                'attitude'),
     ('--pose-drift', 'pose_errors.drift', float, 'M', 'wander of the recorded positions after '
                                                       '100 m of flight'),
+    ('--loop-closure', 'pose_errors.odometry', float, 'X', 'poses drift as those of a dead '
+     'reckoning, X times (1 degree after 100 m); the path that closing the loop gives comes at '
+     'the end on /corrected_path, true poses are on /true_pose'),
 )
 
 
@@ -65,7 +68,8 @@ def add_parser(subparsers: _SubParsersAction[Any]) -> None:
         epilog='example: persem simulate flight --frames 300 --seed 7')
     parser.add_argument('out', metavar='OUT', help='folder of the recording')
     for option, _, kind, unit, text in NUMBERS:
-        parser.add_argument(option, type=kind, metavar=unit, help=text)
+        optional = {'nargs': '?', 'const': 1.0} if option == '--loop-closure' else {}
+        parser.add_argument(option, type=kind, metavar=unit, help=text, **optional)
     parser.add_argument('--size', type=_size, metavar='WxH', help='of the images, in pixels')
     parser.add_argument('--no-noise', action='store_true',
                         help='exact labels, depth and poses, whatever the other options say')

@@ -32,7 +32,7 @@ class Refiner:
     def __init__(self, statistics, wake):
         """Start without a refinement."""
         self._statistics, self._wake = statistics, wake
-        self._thread = ThreadPoolExecutor(1, 'refine', _stand_back)
+        self._thread = ThreadPoolExecutor(1, 'refine', stand_back)
         self._job = self._result = None
         self._began = time.monotonic()
         self._asked = []        # futures of those who want a full refinement from here on
@@ -122,7 +122,7 @@ class Refiner:
             self._wake()
 
 
-def _stand_back():
+def stand_back():
     """Let the computing thread use one core, and that only where mapping does not need it."""
     work_alone()
     with suppress(OSError, AttributeError):

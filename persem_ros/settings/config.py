@@ -228,6 +228,18 @@ class Topics:
         'largest value) or 32FC1 (0 to 1); empty: none', live=False)
     depth_confidence: str = setting(
         '', 'confidence images of the depth, for depth.min_confidence; empty: none', live=False)
+    trajectory: str = setting(
+        '', 'corrected poses of what the pose topic places (nav_msgs/Path, each with its stamp), '
+        'as SLAM publishes them after a loop closure: the map moves with them; empty: none',
+        live=False)
+
+
+@dataclass(frozen=True)
+class TrajectorySettings:
+    """What becomes of corrected trajectories."""
+
+    period: float = setting(
+        10.0, 'time between two moves of the map, at least (node)', 's', 0.1, 3600.0)
 
 
 @dataclass(frozen=True)
@@ -392,6 +404,7 @@ class Config:
     pose: Pose = Pose()
     sync: Sync = Sync()
     topics: Topics = Topics()
+    trajectory: TrajectorySettings = TrajectorySettings()
     depth: Depth = Depth()
     points: Points = Points()
     qos: Qos = Qos()
@@ -474,7 +487,7 @@ def _camera_topics(config: Config) -> tuple[Any, ...]:
     result = []
     for camera in (name for name in config.cameras if name):
         shared = {f.name: f'{camera}/{getattr(config.topics, f.name)}' for f in fields(Topics)
-                  if f.name not in ('pose', 'tf') and getattr(config.topics, f.name)}
+                  if f.name not in ('pose', 'tf', 'trajectory') and getattr(config.topics, f.name)}
         result.append((camera, old.get(camera, replace(config.topics, **shared))))
     return tuple(result)
 

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 START = 1_700_000_000_000_000_000       # nanoseconds, stamp of the first pose
 POSE_STEP = 10_000_000                  # nanoseconds between poses: 100 Hz
 FIRST_IMAGE = 103_700_000               # nanoseconds; images never fall on a pose
+KEYFRAMES = 1.0                         # s between the poses of the corrected path
 MAP, BODY, MOUNT, OPTICAL = 'map', 'base_link', 'camera_link', 'camera_optical_frame'
 
 
@@ -95,6 +96,12 @@ class Flight:
         fraction = (stamp - self.pose_stamps[i]) / POSE_STEP
         return interpolated(self.poses[i], self.poses[i + 1], fraction) @ self.T_body_camera
 
+    @property
+    def keyframes(self) -> list[int]:
+        """Return the stamps of the images whose poses are in the corrected path, ns."""
+        every = max(1, round(KEYFRAMES * self.plan.rate))
+        return sorted({*self.stamps[::every], self.stamps[-1]})
+
     def shots(self) -> Iterator[Shot]:
         """Yield the Shot of every image, in order."""
         if self.workers < 2:
@@ -140,9 +147,12 @@ class Flight:
         """
         Write the flight to a persem_ros.outputs.recording.writer.RecordingWriter.
 
-        Topics are the defaults of the settings. *progress* wraps the iterator of shots.
+        Topics are the defaults of the settings. *progress* wraps the iterator of shots. Where the
+        poses are those of a dead reckoning, the true ones are on /true_pose, and at the end comes
+        /corrected_path, as a SLAM system publishes it when it has closed the loop.
 
         """
+        closes = self.plan.pose_errors.odometry > 0
         writer.text('/semantic/legend', self.legend.to_yaml(), latched=True)
         writer.tf(None, BODY, MOUNT, self.T_body_mount, static=True)
         writer.tf(None, MOUNT, OPTICAL, self.T_mount_camera, static=True)
@@ -151,8 +161,13 @@ class Flight:
             while poses and poses[0][0] <= shot.stamp:
                 _write_pose(writer, *poses.popleft())
             self._write_shot(writer, shot)
+            if closes:
+                writer.pose('/true_pose', shot.stamp, MAP, self.body(shot.stamp), 'Odometry', BODY)
         for stamp, T in poses:
             _write_pose(writer, stamp, T)
+        if closes:
+            writer.trajectory('/corrected_path', self.pose_stamps[-1], MAP,
+                              [(stamp, self.body(stamp)) for stamp in self.keyframes])
 
     def _write_shot(self, writer: RecordingWriter, shot: Shot) -> None:
         plan, stamp = self.plan, shot.stamp

@@ -85,6 +85,7 @@ def check(plan: Plan) -> None:
             ('depth noise', plan.depth_errors.scale, 0, 10, ''),
             ('pose noise', plan.pose_errors.noise, 0, 100, ' m'),
             ('attitude noise', plan.pose_errors.attitude, 0, 45, ' degrees'),
-            ('pose drift', plan.pose_errors.drift, 0, 100, ' m')):
+            ('pose drift', plan.pose_errors.drift, 0, 100, ' m'),
+            ('loop closure', plan.pose_errors.odometry, 0, 10, '')):
         if not low <= value <= high:
             raise PersemError(f'{name}: expected {low} to {high}{unit}, got {value}')

@@ -8,6 +8,7 @@ import numpy as np
 from persem_ros.cli import main
 from persem_ros.core.transforms import inverse
 from persem_ros.errors import PersemError
+from persem_ros.inputs.decode import messages
 from persem_ros.inputs.recording.recording import Recording
 from persem_ros.outputs.recording.writer import RecordingWriter
 from persem_ros.settings.config import Config
@@ -20,6 +21,7 @@ from persem_ros.simulate.render import View
 from persem_ros.simulate.segmenter import Mistakes, picture_noise, Segmenter
 from persem_ros.simulate.sensor import DepthErrors, measured, PoseErrors, recorded
 import pytest
+from rosbags.highlevel import AnyReader
 
 PLAN = Plan(frames=12, width=160, height=120, rate=0.5, speed=10.0)   # 20 m from frame to frame
 
@@ -401,17 +403,45 @@ def test_plan_refused_without_the_command():
         Flight(replace(PLAN, tilt=5))
 
 
+def test_a_loop_that_is_closed(exact):
+    """Poses begin right, drift smoothly, and what comes at the end is the true path."""
+    poses = [exact.body(stamp) for stamp in exact.pose_stamps[:6000:10]]
+    drifted = recorded(poses, PoseErrors(odometry=1.0), np.random.default_rng(0))
+    away = np.stack(drifted)[:, :3, 3] - np.stack(poses)[:, :3, 3]
+    assert (away[0] == 0).all() and 1.0 < np.linalg.norm(away[-1]) < 30.0
+    steps = np.diff(away, axis=0)
+    assert np.linalg.norm(np.diff(steps, axis=0), axis=1).max() < 0.02      # no jumps, no noise
+    twice = recorded(poses, PoseErrors(odometry=2.0), np.random.default_rng(0))
+    assert np.linalg.norm(twice[-1][:3, 3] - poses[-1][:3, 3]) > np.linalg.norm(away[-1])
+
+
+def test_the_recording_of_a_loop(tmp_path):
+    words = ['--frames', '3', '--rate', '0.5', '--size', '32x32', '--loop-closure']
+    assert main(['simulate', str(tmp_path / 'loop'), *words]) == 0
+    flight = Flight(replace(PLAN, frames=3, pose_errors=PoseErrors(odometry=1.0)))
+    with AnyReader([tmp_path / 'loop']) as reader:
+        found = [(c.topic, t, reader.deserialize(raw, c.msgtype)) for c, t, raw in
+                 reader.messages() if c.topic in ('/corrected_path', '/true_pose')]
+    assert [topic for topic, *_ in found] == ['/true_pose'] * 3 + ['/corrected_path']
+    path = found[-1][2]
+    for pose, stamp, (_, _, true) in zip(path.poses, flight.stamps, found):
+        assert messages.stamp_ns(pose) == messages.stamp_ns(true) == stamp
+        x = pose.pose.position
+        assert np.allclose([x.x, x.y], [true.pose.pose.position.x, true.pose.pose.position.y])
+    assert path.header.frame_id == 'map' and len(path.poses) == 3
+
+
 def test_options_reach_the_plan():
     from persem_ros.cli import _parser
     from persem_ros.commands.simulate import plan_of
     words = ['simulate', 'out', '--size', '64x32', '--height', '70', '--difficulty', '1.5',
              '--depth-noise', '2', '--pose-noise', '.1', '--attitude-noise', '.2',
-             '--pose-drift', '.3', '--tilt', '80', '--fov', '60', '--seed', '4']
+             '--pose-drift', '.3', '--loop-closure', '--tilt', '80', '--fov', '60', '--seed', '4']
     plan = plan_of(_parser(words).parse_args(words))
     assert (plan.width, plan.height, plan.altitude, plan.tilt, plan.field_of_view, plan.seed) \
         == (64, 32, 70.0, 80.0, 60.0, 4)
     assert plan.mistakes.difficulty == 1.5 and plan.depth_errors.scale == 2.0
-    assert plan.pose_errors == PoseErrors(0.1, 0.2, 0.3)
+    assert plan.pose_errors == PoseErrors(0.1, 0.2, 0.3, 1.0)
     words.append('--no-noise')
     assert plan_of(_parser(words).parse_args(words)) == plan.without_errors()
     assert START == 1_700_000_000_000_000_000
@@ -431,4 +461,4 @@ def test_help_shows_the_defaults(capsys):
             f'--size WxH of the images, in pixels (default: {plan.width}x{plan.height})',
             'storage of the recording (default: mcap)'):
         assert words in text
-    assert text.count('(default: ') == 15
+    assert text.count('(default: ') == 16

@@ -162,6 +162,7 @@ class Reading(Intake):
         if name not in self._buffers:
             buffer = self._buffers[name] = PoseBuffer(
                 self._recording.config, POSES_KEPT, self._recording.knows_map(camera))
+            buffer.correction = self._recording.corrections.get(camera)
             for transform in self._recording.statics_of(camera):
                 buffer.add_static(*transform)
             if POSE in chosen:

@@ -28,6 +28,7 @@ from persem_ros.settings.legend import Legend, load_legend
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from persem_ros.core.trajectory import Correction
     from persem_ros.frames import Frame
     from persem_ros.settings.config import Config
 
@@ -67,6 +68,8 @@ class Recording:
         Notes that the user has read.
     names : persem_ros.inputs.names.Names
         The classes of the map.
+    corrections : dict of str to persem_ros.core.trajectory.Correction
+        What a corrected trajectory says of the poses of a camera (corrected.correct).
     given_legend : persem_ros.settings.legend.Legend or None
         That of labels.legend, or of the map that goes on (then *strict*).
 
@@ -89,6 +92,7 @@ class Recording:
         self.dropped = Counter()
         self.examples = {}
         self.said = set()
+        self.corrections: dict[str, Correction] = {}
         self._notes = {}
         self._known: dict[str, bool] = {}
         self._index = self._bounds = None

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from persem_ros.core.trajectory import Correction
 from persem_ros.core.transforms import transform
 from persem_ros.errors import PersemError
 from persem_ros.inputs.decode.messages import unit_quaternion
@@ -43,6 +44,8 @@ class PoseBuffer:
         Sentences for the user.
     tree : Tree
         Of /tf and /tf_static.
+    correction : persem_ros.core.trajectory.Correction or None
+        What a corrected trajectory says of the poses (a replay).
 
     """
 
@@ -50,6 +53,7 @@ class PoseBuffer:
         """Start empty."""
         self.notes: dict[str, str] = {}
         self._strict, self._astray = strict, True
+        self.correction: Correction | None = None
         self._map = config.frames.map
         self._keep = round(keep * 1e9)
         self.tree = Tree(self._keep)
@@ -124,7 +128,8 @@ class PoseBuffer:
 
         """
         if self._settings.source == 'tf':
-            return self.tree.chain(self._map, frame, stamp)
+            return self._corrected(self.tree.chain(self._map, frame, stamp), stamp,
+                                   self._mount_in_tree(frame, stamp))
         if self._poses is None:
             return Lookup(None, False, NO_POSE)
         found = self._pose_at(stamp)
@@ -138,7 +143,24 @@ class PoseBuffer:
             return above
         if mount.T is None:
             return mount
-        return Lookup(above.T @ found.T @ mount.T, mount=mount.T)
+        return self._corrected(Lookup(above.T @ found.T @ mount.T), stamp, mount.T)
+
+    def body(self, stamp: int, frame: str) -> Lookup:
+        """
+        Return where what the poses place was, T_map_body, as recorded.
+
+        Where /tf gives the poses that is pose.child_frame, else the camera *frame* itself.
+
+        """
+        if self._settings.source == 'tf':
+            return self.tree.chain(self._map, self._settings.child_frame or frame, stamp)
+        if self._poses is None:
+            return Lookup(None, False, NO_POSE)
+        found = self._pose_at(stamp)
+        if found.T is None:
+            return found
+        above = self._above(self._poses.parent, stamp)
+        return above if above.T is None else Lookup(above.T @ found.T)
 
     @property
     def needs_tf(self) -> bool:
@@ -174,6 +196,38 @@ class PoseBuffer:
             return []
         named = [name for name in path if BODIES.match(name)]
         return list(dict.fromkeys([*named, *reversed(fixed), *path]))
+
+    def span(self, frame: str) -> tuple[int, int] | None:
+        """Return the stamps between which poses, or /tf to *frame*, are known, ns."""
+        if self._settings.source != 'tf':
+            return (self._poses.stamps[0], self._poses.stamps[-1]) if self._poses else None
+        tracks = [t for t in self._tracks(self._map, self._settings.child_frame or frame)
+                  if t.stamps]
+        if not tracks:
+            return None
+        return max(t.stamps[0] for t in tracks), min(t.stamps[-1] for t in tracks)
+
+    def jumped(self, least: float) -> str:
+        """
+        Return the sentence that says how a localisation has just corrected itself, '' if not.
+
+        It has where what ties the map to the frame that the poses are in, or to one that moves on,
+        goes *least* metres, or turns as far at 10 m, from one sample to the next.
+
+        """
+        carried = {track.parent for track in self.tree.moving.values()}
+        carried |= {self._poses.parent} if self._poses else set()
+        for child, track in self.tree.moving.items():
+            if track.parent != self._map or child not in carried or len(track.stamps) < 2:
+                continue
+            before, after = track.transforms[-2:]
+            way = float(np.linalg.norm(after[:3, 3] - before[:3, 3]))
+            turn = float(np.abs(after[:3, :3] - before[:3, :3]).max())
+            if max(way, 10 * turn) >= least:
+                return (f'{self._map} -> {child} on /tf jumped by {way:.3g} m and '
+                        f'{np.degrees(turn):.2g} degrees at {_seconds(track.stamps[-1])}, as '
+                        'after a loop closure: what was mapped before stays where it was')
+        return ''
 
     def tie(self, target: str, source: str, stamp: int) -> Lookup:
         """Return the Lookup of T_target_source at *stamp*, by /tf_static and /tf alone."""
@@ -298,6 +352,18 @@ class PoseBuffer:
             f'the poses are in the frame {parent!r}, which is taken for the map frame '
             f'{self._map!r}; --set frames.map={parent} says so')
         return Lookup(np.eye(4))
+
+    def _corrected(self, found: Lookup, stamp: int, mount: NDArray[np.float64] | None) -> Lookup:
+        """Return the Lookup of a camera with its mount, the pose corrected."""
+        if found.T is None:
+            return found
+        T = found.T if self.correction is None else self.correction.pose(found.T, stamp)
+        return found._replace(T=T, mount=mount)
+
+    def _mount_in_tree(self, frame: str, stamp: int) -> NDArray[np.float64] | None:
+        """Return T_body_camera where /tf gives the poses and pose.child_frame names the body."""
+        body = self._settings.child_frame
+        return self.tree.chain(body, frame, stamp).T if body else None
 
     def _mount(self, frame: str, stamp: int) -> Lookup:
         """Return the Lookup of T_child_camera, along moving links where static ones do not do."""

@@ -130,6 +130,11 @@ class RecordingWriter:
         """Write a pose, a 4x4 matrix from the posed frame to *frame_id*, as a message *kind*."""
         self.message(topic, stamp, *self.make.pose(stamp, frame_id, T, kind, child_frame))
 
+    def trajectory(self, topic: str, stamp: int, frame_id: str,
+                   poses: list[tuple[int, NDArray[np.float64]]]) -> None:
+        """Write a nav_msgs/Path of (stamp, 4x4 matrix from what is posed to *frame_id*)."""
+        self.message(topic, stamp, 'nav_msgs/msg/Path', self.make.path(stamp, frame_id, poses))
+
     def tf(
             self, stamp: int, parent: str, child: str, T: NDArray[np.float64], static: bool = False
     ) -> None:
