@@ -99,9 +99,10 @@ class Replay:
         with self._refined() as refined, WriteBehind() as later:
             with self._read('rendering', truth=True, color=bool(self.watchers)) as frames:
                 for session, frame in frames:
-                    self._begin_measuring(session)
+                    if self._begins_measuring(session):
+                        later(self.metrics.restart)
                     rendering = self._render(frame)
-                    self._measure(frame, rendering, codes)
+                    later(self._measure, frame, rendering, codes)   # nothing moves any more
                     later(refined.frame, frame, rendering.published)
             later(refined.map, self.points, self.pipeline.memory.frames[-1].stamp)
         return self._finish()
@@ -116,7 +117,8 @@ class Replay:
                     if session != self._session:
                         refined_at = None
                     self._begin(session)
-                    self._begin_measuring(session)
+                    if self._begins_measuring(session):
+                        self.metrics.restart()
                     observations = self._integrate(frame)
                     refined_at = frame.stamp if refined_at is None else refined_at
                     if frame.stamp - refined_at >= period:
@@ -152,12 +154,13 @@ class Replay:
             self._session = session
             self.pipeline.memory.new_session()
 
-    def _begin_measuring(self, session: int) -> None:
-        """Compare no frame with one of another recording."""
-        if session != self._measured:
+    def _begins_measuring(self, session: int) -> bool:
+        """Return whether another recording begins, with no frame of which one is compared."""
+        begins = session != self._measured
+        if begins:
             self._measured = session
-            self.metrics.restart()
             self.renderer.restart()
+        return begins
 
     def _integrate(self, frame: Frame) -> Observations:
         """Add a frame to the map; return its observations."""
