@@ -189,7 +189,7 @@ def test_folder_tables_and_second_run(tmp_path, recording, capsys, caplog):
     values = [s['methods']['persem']['miou'] for s in evaluation['sequences'].values()]
     assert evaluation['macro']['all']['methods']['persem']['miou'] == pytest.approx(
         np.mean(values))
-    for name in ('main', 'sequences', 'ablation', 'trust', 'regions', 'runtime',
+    for name in ('main', 'sequences', 'classes', 'ablation', 'trust', 'regions', 'runtime',
                  'gains_over_majority', 'gains_over_raw2d'):
         assert (tmp_path / 'out' / 'tables' / f'{name}.tex').read_text().count('toprule') == 1
     assert '(truth)' in first and 'persem' in first

@@ -20,11 +20,18 @@ from persem_ros.core.jit import inlined, kernel, split
 from persem_ros.core.memory.pools import SIDE
 
 WIDE = SIDE + 2     # a block with a cell more on every side
+MOST = 64           # classes
+WORK = np.dtype([('Q', 'f8', MOST), ('scratch', 'f8', MOST), ('mean', 'f8', MOST)])
 FAINT = 1e-4        # a Q of this and less adds nothing to sums, but for pi's
 
 
 class Tables(NamedTuple):
-    """Logarithms of the parameters: pi (K,), theta (K, K) with rows c, and P_k / pi by group."""
+    """
+    Logarithms of the parameters, flat.
+
+    pi (K,), theta (K * K) with rows c, and P_k / pi (groups * K).
+
+    """
 
     pi: NDArray[np.float64]
     theta: NDArray[np.float64]
@@ -40,8 +47,8 @@ def tables_of(parameters: Parameters, settings: Any) -> Tables:
     ratios = [np.log(parameters.shares(k, settings.prior) / parameters.pi)
               if counts(settings.groups, k) else np.zeros_like(parameters.groups[k])
               for k in range(3)]
-    return Tables(np.log(parameters.pi), np.ascontiguousarray(np.log(parameters.theta + 1e-6).T),
-                  *ratios, parameters.rho, settings.weight)
+    return Tables(np.log(parameters.pi), np.log(parameters.theta + 1e-6).T.reshape(-1),
+                  *(ratio.reshape(-1) for ratio in ratios), parameters.rho, settings.weight)
 
 
 class Dense:
@@ -85,7 +92,7 @@ class Dense:
         """Return the sums of a round without neighbours over all rows, or so many of the first."""
         votes, groups = self.votes, self.groups
         return _summed(split(
-            count_posteriors, len(votes.count) if rows is None else rows, votes.start,
+            _working(count_posteriors), len(votes.count) if rows is None else rows, votes.start,
             votes.count, votes.place,
             votes.share, votes.total, votes.agreement, groups.fine, groups.coarse,
             groups.shifted, *tables_of(parameters, self.settings), *self._sizes))
@@ -127,14 +134,19 @@ class Dense:
         tables = tables_of(parameters, self.settings)
         where = np.full(len(taken.number), -1, np.int32)
         where[wanted[0]] = np.arange(len(wanted[0]))
-        before, after = (np.zeros((len(wanted[0]), len(votes.classes))) for _ in range(2))
+        before, after = (np.empty(len(wanted[0]) * len(votes.classes)) for _ in range(2))
         for number, rows in enumerate(wanted):
-            split(score, len(rows), rows, votes.start, votes.count, votes.place, votes.share,
-                  votes.total, groups.fine, groups.coarse, groups.shifted, *tables, self.blocks,
-                  taken.block, taken.cell, taken.row, where, before,
+            split(_working(score), len(rows), rows, votes.start, votes.count, votes.place,
+                  votes.share, votes.total, groups.fine, groups.coarse, groups.shifted, *tables,
+                  self.blocks, taken.block, taken.cell, taken.row, where, before,
                   float(self.settings.smoothing) if number else 0.0, after)
             before, after = after, before
-        return where, before, after
+        return where, *(Q.reshape(-1, len(votes.classes)) for Q in (before, after))
+
+
+def _working(function: Any) -> Any:
+    """Return a kernel with room of its own for each slice of the work."""
+    return lambda begin, end, *arguments: function(begin, end, np.zeros(1, WORK), *arguments)
 
 
 def looks(total: float, rho: float) -> float:
@@ -177,28 +189,28 @@ def count_shares(begin, end, start, count, place, share, total, rho, fine, coars
 
 
 @kernel
-def count_posteriors(begin, end, start, count, place, share, total, agreement, fine, coarse,
+def count_posteriors(begin, end, work, start, count, place, share, total, agreement, fine, coarse,
                      shifted, log_pi, log_theta, log_fine, log_coarse, log_shifted, rho, weight,
                      n_fine, n_coarse, n_shifted):
-    """Return the sums over voxels begin .. end of a round without neighbours."""
+    """Return the sums over voxels begin .. end of a round without neighbours; tables are flat."""
     K = len(log_pi)
     C, mass = np.zeros((K, K), np.int64), np.zeros(K, np.int64)
-    R1, R2, R3 = np.zeros((n_fine, K), np.int64), np.zeros((n_coarse, K), np.int64), \
-        np.zeros((n_shifted, K), np.int64)
+    R1, R2, R3 = np.zeros(n_fine * K, np.int64), np.zeros(n_coarse * K, np.int64), \
+        np.zeros(n_shifted * K, np.int64)
     alike, agreed = np.zeros(K, np.int64), np.int64(0)
-    Q, scratch = np.empty(K), np.empty(K)
+    Q, scratch = work[0].Q, work[0].scratch
     bits = scratch.view(np.int64)
     for r in range(begin, end):
         n = total[r] / (1.0 + rho * max(total[r] - 1.0, 0.0))
         a, b = start[r], start[r] + count[r]
-        say(a, b, n, place, share, log_pi, log_theta, log_fine[fine[r]], log_coarse[coarse[r]],
-            log_shifted[shifted[r]], weight, Q)
-        softmax(Q, scratch, bits)
+        one, two, three = fine[r] * K, coarse[r] * K, shifted[r] * K
+        say(a, b, n, place, share, log_pi, log_theta, log_fine, one, log_coarse, two,
+            log_shifted, three, weight, Q)
+        softmax(K, Q, scratch, bits)
         for z in range(K):
             scratch[z] = Q[z] * TERM + MAGIC
         for z in range(K):
             mass[z] += bits[z] - MAGIC_BITS
-        one, two, three = R1[fine[r]], R2[coarse[r]], R3[shifted[r]]
         for z in range(K):
             q = Q[z]
             if q <= FAINT:
@@ -207,72 +219,88 @@ def count_posteriors(begin, end, start, count, place, share, total, agreement, f
                 if place[e] >= 0:
                     C[z, place[e]] += np.int64(np.rint(q * n * share[e] * TERM))
             term = bits[z] - MAGIC_BITS
-            one[z] += term
-            two[z] += term
-            three[z] += term
+            R1[one + z] += term
+            R2[two + z] += term
+            R3[three + z] += term
             if agreement[r] >= 0.0:
                 alike[z] += term
                 agreed += np.int64(np.rint(q * agreement[r] * TERM))
-    return C, mass, R1, R2, R3, alike, agreed
+    return C, mass, R1.reshape(n_fine, K), R2.reshape(n_coarse, K), R3.reshape(n_shifted, K), \
+        alike, agreed
 
 
 @inlined
-def say(a, b, n, place, share, log_pi, log_theta, one, two, three, weight, Q):
-    """Write what votes a .. b and the groups of a voxel say of each class, unnormalised logs."""
-    K = len(Q)
-    Q[:] = 0.0
+def say(a, b, n, place, share, log_pi, log_theta, log_fine, one, log_coarse, two, log_shifted,
+        three, weight, Q):
+    """
+    Write what votes a .. b and the groups of a voxel say of each class, unnormalised logs.
+
+    Tables are flat, one, two and three where its groups' rows begin: a view of a row would cost
+    two atomic operations, as arrays do that are not a record's and change from call to call.
+    Unsigned places need no look at their sign, so that loops become vectors.
+
+    """
+    K, u1, u2, u3 = len(log_pi), np.uint64(one), np.uint64(two), np.uint64(three)
+    for z in range(K):
+        Q[z] = 0.0
     for e in range(a, b):
         if place[e] < 0:        # a class that the parameters do not know
             continue
-        p, of = share[e], log_theta[place[e]]
+        p, of = share[e], np.uint64(place[e]) * np.uint64(K)
         for z in range(K):
-            Q[z] += p * of[z]
+            Q[z] += p * log_theta[of + np.uint64(z)]
     for z in range(K):
-        Q[z] = log_pi[z] + n * Q[z] + weight * (one[z] + two[z] + three[z])
+        u = np.uint64(z)
+        Q[z] = log_pi[z] + n * Q[z] + weight * (
+            log_fine[u1 + u] + log_coarse[u2 + u] + log_shifted[u3 + u])
 
 
 @kernel
-def score(begin, end, wanted, start, count, place, share, total, fine, coarse, shifted, log_pi,
-          log_theta, log_fine, log_coarse, log_shifted, rho, weight, blocks, block, cell, row,
-          where, before, smoothing, after):
+def score(begin, end, work, wanted, start, count, place, share, total, fine, coarse, shifted,
+          log_pi, log_theta, log_fine, log_coarse, log_shifted, rho, weight, blocks, block, cell,
+          row, where, before, smoothing, after):
     """
-    Write Q of the rows wanted[begin:end] to *after*, at where[row].
+    Write Q of the rows wanted[begin:end] to *after*, at where[row]; tables and Q are flat.
 
     row is the snapshot's row + 1 of a voxel number. With a smoothing of 0 no neighbour is looked
     at, otherwise their Q are read from *before*.
 
     """
     K = len(log_pi)
-    scratch, mean = np.empty(K), np.empty(K)
+    Q, scratch, mean = work[0].Q, work[0].scratch, work[0].mean
     bits = scratch.view(np.int64)
     near, here = np.zeros((WIDE, WIDE, WIDE), np.int32), np.int64(-1)
+    listed = np.empty(28, np.uint64)
     for w in range(begin, end):
         r = wanted[w]
         n = total[r] / (1.0 + rho * max(total[r] - 1.0, 0.0))
-        Q = after[where[r]]
-        say(start[r], start[r] + count[r], n, place, share, log_pi, log_theta,
-            log_fine[fine[r]], log_coarse[coarse[r]], log_shifted[shifted[r]], weight, Q)
+        say(start[r], start[r] + count[r], n, place, share, log_pi, log_theta, log_fine,
+            fine[r] * K, log_coarse, coarse[r] * K, log_shifted, shifted[r] * K, weight, Q)
         if smoothing != 0.0:
             if block[r] != here:
                 here = block[r]
                 places_around(blocks, here, row, where, near)
             x, y, z = cell[r] >> 6, cell[r] >> 3 & 7, cell[r] & 7
-            mean[:] = 0.0
             around = 0
             for dx in range(3):
                 for dy in range(3):
                     for dz in range(3):
-                        place_of = np.int64(near[x + dx, y + dy, z + dz])
-                        if place_of == 0 or dx + dy + dz == 3 and dx == 1 and dy == 1:
-                            continue
-                        around += 1
-                        theirs = before[place_of - 1]
-                        for c in range(K):
-                            mean[c] += theirs[c]
+                        place_of = near[x + dx, y + dy, z + dz]
+                        listed[around] = np.uint64(place_of - 1) * np.uint64(K)
+                        around += place_of != 0 and not (dx == 1 and dy == 1 and dz == 1)
+            for c in range(K):
+                mean[c] = 0.0
+            for k in range(around):
+                theirs = listed[k]
+                for c in range(K):
+                    mean[c] += before[theirs + np.uint64(c)]
             if around > 0:
                 for c in range(K):
                     Q[c] += smoothing * (mean[c] / around)
-        softmax(Q, scratch, bits)
+        softmax(K, Q, scratch, bits)
+        mine = np.uint64(where[r]) * np.uint64(K)
+        for c in range(K):
+            after[mine + np.uint64(c)] = Q[c]
 
 
 @inlined

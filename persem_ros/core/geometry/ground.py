@@ -9,6 +9,7 @@ no edge of the map plays a part.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,24 +48,45 @@ def tiles_of(blocks: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.i
 
 def ground_of(tiles: NDArray[np.int32], lowest: NDArray[np.int32], window: int) -> Ground:
     """Return the Ground over *tiles* whose columns' lowest voxels are *lowest* (T, 64)."""
-    eroded = windowed_minimum(tiles, lowest, window)
+    around = tiles_around(tiles, window)
+    eroded = windowed_minimum(around, lowest, window)
     hidden = lowest == NONE
-    level = -windowed_minimum(tiles, np.where(hidden, NONE, -eroded), window)
+    level = -windowed_minimum(around, np.where(hidden, NONE, -eroded), window)
     return Ground(tiles, lowest, np.where(hidden, NONE, level))
 
 
-def windowed_minimum(tiles: NDArray[np.int32], values: NDArray[np.int32],
+class Around(NamedTuple):
+    """
+    Which tiles lie along each axis of which, within a window.
+
+    Attributes
+    ----------
+    along_j : ndarray, shape (W, 2 reach + 1), int64
+        Places among the T tiles of W, of which some hold nothing themselves; -1: none.
+    along_i : ndarray, shape (T, 2 reach + 1), int64
+        Places among the W.
+
+    """
+
+    along_j: NDArray[np.int64]
+    along_i: NDArray[np.int64]
+
+
+def tiles_around(tiles: NDArray[np.int32], window: int) -> Around:
+    """Return the Around of sorted tiles (T, 2)."""
+    reach = -(-window // SIDE)
+    beside, steps = keys_of(tiles), list(range(-reach, reach + 1))
+    wide = np.unique(np.concatenate([beside + d for d in steps]))
+    return Around(_near(wide, beside, steps), _near(beside, wide, [d << 32 for d in steps]))
+
+
+def windowed_minimum(around: Around, values: NDArray[np.int32],
                      window: int) -> NDArray[np.int32]:
     """Return the least value (T, 64) within *window* columns along i and j; NONE counts not."""
-    reach = -(-window // SIDE)
-    beside = keys_of(tiles)
-    wide = np.unique(np.concatenate([beside + d for d in range(-reach, reach + 1)]))
-    between = np.empty((len(wide), TILE), np.int32)
-    along_j = _near(wide, beside, list(range(-reach, reach + 1)))
-    split(slide, len(wide), along_j, values, window, 1, SIDE, between, grain=256)
-    result = np.empty((len(tiles), TILE), np.int32)
-    along_i = _near(beside, wide, [d << 32 for d in range(-reach, reach + 1)])
-    split(slide, len(tiles), along_i, between, window, SIDE, 1, result, grain=256)
+    between = np.empty((len(around.along_j), TILE), np.int32)
+    split(slide, len(between), around.along_j, values, window, 1, SIDE, between, grain=256)
+    result = np.empty((len(around.along_i), TILE), np.int32)
+    split(slide, len(result), around.along_i, between, window, SIDE, 1, result, grain=256)
     return result
 
 

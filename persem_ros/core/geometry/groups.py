@@ -110,11 +110,13 @@ def groups_of(index: NDArray[np.int32], tile: NDArray[np.int64], shape: NDArray[
     n = len(index)
     found = Groups(np.empty(n, np.uint8), np.empty(n, np.int32), np.empty(n, np.int32),
                    np.empty(n, np.int32))
-    columns = []
+    occurs, columns = np.zeros(len(ground.tiles), bool), []
+    occurs[tile] = True
+    numbers = np.flatnonzero(occurs)
     for offset, known in zip((0, cell // 2), cells):
         columns.append(np.empty((len(ground.tiles), TILE), np.int32))
-        split(look_up, len(ground.tiles), ground.tiles, ground.lowest, offset, cell, known.table,
-              columns[-1], grain=256)
+        split(look_up, len(numbers), numbers, ground.tiles, ground.lowest, offset, cell,
+              known.table, columns[-1], grain=256)
     split(classify, n, index, tile, shape, ground.level, *columns,
           np.array([known.number for known in cells]), np.array(HEIGHTS), found.fine,
           found.coarse, found.shifted, found.height)
@@ -157,11 +159,12 @@ def enter_cells(listed, table):
 
 
 @kernel
-def look_up(begin, end, tiles, lowest, offset, cell, table, number):
-    """Write the number of each observed column's cell, -1 for one that the table lacks."""
+def look_up(begin, end, numbers, tiles, lowest, offset, cell, table, number):
+    """Write the cells' numbers of observed columns of tiles numbers[begin:end]; -1: unknown."""
     mask = np.uint64(len(table) - 1)
     last_i, last_j, last = np.int64(1 << 40), np.int64(0), np.int64(-1)
-    for tile in range(begin, end):
+    for w in range(begin, end):
+        tile = numbers[w]
         for column in range(TILE):
             if lowest[tile, column] == NONE:
                 continue

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, Optional, Union
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.geometry.dense import Dense
+from persem_ros.core.geometry.dense import Dense, MOST
 from persem_ros.core.geometry.ground import Ground, ground_of, lower, NONE, TILE, tiles_of
 from persem_ros.core.geometry.groups import Cells, Groups, groups_of, make_cells
 from persem_ros.core.geometry.labelling import label_rows
@@ -19,7 +19,7 @@ from persem_ros.core.geometry.upright import up_of, upright
 from persem_ros.core.geometry.votes import take_votes, Votes
 from persem_ros.core.memory.pools import ROWS
 
-MOST_DENSE = 64     # classes; more have few candidates a voxel
+MOST_DENSE = MOST   # classes; more have few candidates a voxel
 GEOMETRY = 4        # source of a label that is not the majority's, spec section 8
 
 

@@ -16,14 +16,13 @@ SMALLEST = -700.0                   # exp() of less is taken for exp() of this, 
 
 
 @inlined
-def softmax(Q, scratch, bits):
+def softmax(K, Q, scratch, bits):
     """
-    Replace Q (K,) by exp(Q) / sum of exp(Q).
+    Replace Q[:K] by exp(Q) / sum of exp(Q).
 
     scratch (K,) float64 is written to, bits is scratch.view(np.int64).
 
     """
-    K = len(Q)
     whole_quads = K & ~3
     m0 = m1 = m2 = m3 = Q[0]        # four at a time: one would wait for the one before
     for z in range(0, whole_quads, 4):

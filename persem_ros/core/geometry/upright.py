@@ -22,6 +22,9 @@ class Up(NamedTuple):
     down: bool
 
 
+AS_IT_IS = Up(0, 1, 2, False)
+
+
 def up_of(name: str) -> Up:
     """Return the Up of a value of refine.up: x, y, z, -x, -y or -z."""
     k = 'xyz'.index(name[-1])
@@ -31,6 +34,8 @@ def up_of(name: str) -> Up:
 
 def upright(index: NDArray[np.int32], up: Up) -> NDArray[np.int32]:
     """Return indices (n, 3) of voxels or blocks as (i, j, k) with k up."""
+    if up == AS_IT_IS:
+        return index
     turned = index[:, [up.i, up.j, up.k]]
     if up.down:
         turned[:, 2] = -1 - turned[:, 2]

@@ -72,7 +72,7 @@ def take_votes(memory: Any, taken: Any, directions: int, keep: bool = False,
     if keep and memory.voted_by != directions:
         voted['n'][:memory.n_numbers] = 0
         memory.voted_by = directions
-    ids, share = np.zeros(len(taken.classes), np.uint16), np.zeros(len(taken.classes))
+    ids, share = np.zeros(len(taken.classes), np.uint16), np.empty(len(taken.classes))
     count, seen = np.zeros(n, np.int32), np.zeros(65536, np.uint8)
     total, agreement = np.zeros(n), np.zeros(n)
     from_where = np.ascontiguousarray(taken.placed[:, :3, 3]).reshape(-1, 3)
@@ -105,7 +105,8 @@ def count_votes(begin, end, links, number, index, start, observations, first, he
     crowd = np.zeros(side * side * side, np.int32)      # observations by direction
     where = np.zeros(longest, np.int32)
     labels, confidences = np.empty(longest, np.int64), np.empty(longest)
-    sums, plain = np.empty(65536, np.int64), np.empty(65536, np.int64)
+    by_class, plain = np.zeros(65536, np.int64), np.zeros(65536, np.int64)
+    sums = np.empty(65536, np.int64)
     for r in range(begin, end):
         n = np.int64(observations[r])
         at = oldest(n, first[r], max_history)
@@ -123,24 +124,25 @@ def count_votes(begin, end, links, number, index, start, observations, first, he
             n_classes = 0
             for i in range(looks):
                 c = labels[i]
-                k = 0
-                while k < n_classes and ids[k0 + k] < c:
-                    k += 1
-                if k == n_classes or ids[k0 + k] != c:      # keep them ascending
-                    for later in range(n_classes, k, -1):
-                        ids[k0 + later] = ids[k0 + later - 1]
-                        sums[later], plain[later] = sums[later - 1], plain[later - 1]
-                    ids[k0 + k], sums[k], plain[k] = c, 0, 0
+                if plain[c] == 0:
+                    k = n_classes
+                    while k > 0 and ids[k0 + k - 1] > c:    # keep them ascending
+                        ids[k0 + k] = ids[k0 + k - 1]
+                        k -= 1
+                    ids[k0 + k] = c
                     n_classes += 1
                 m = crowd[where[i]] if directions > 0 else 1
-                sums[k] += np.int64(np.rint(confidences[i] / m * ONE))
-                plain[k] += 1
+                by_class[c] += np.int64(np.rint(confidences[i] / m * ONE))
+                plain[c] += 1
             if directions > 0:
                 for i in range(looks):
                     crowd[where[i]] = 0
             squares = 0.0
             for k in range(n_classes):
-                squares += plain[k] * plain[k]
+                c = np.int64(ids[k0 + k])
+                squares += plain[c] * plain[c]
+                sums[k] = by_class[c]
+                by_class[c], plain[c] = 0, 0
             if keep:
                 pack(kept, n, looks, n_classes, ids, sums, k0, squares)
         whole = np.int64(0)

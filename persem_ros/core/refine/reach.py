@@ -48,8 +48,10 @@ def reached(memory: Any, settings: Any, everywhere: bool,
         memory.relief = Relief(memory, up, window)
     change = memory.relief.update(memory, dirty)
     if everywhere or change.whole:
-        taken = snapshot.take(memory)
-        return replace(taken, relief=memory.relief, reshaped=_reshaped(memory, change, taken))
+        taken = snapshot.take(memory, shares=False)
+        near = None if change.whole else _spread(
+            memory.m.blocks, memory.n_blocks, change.blocks, change.occupied, RADIUS)[0]
+        return replace(taken, relief=memory.relief, reshaped=_reshaped(near, taken))
     return _part(memory, settings, change, dirty, also)
 
 
@@ -58,7 +60,9 @@ def _part(memory: Any, settings: Any, change: Change, dirty: NDArray[np.int64],
     """Return the Snapshot of what a change reaches, and of *also*."""
     blocks, n, bits = memory.m.blocks, memory.n_blocks, memory.relief.bits
     rings = SMOOTHED if settings.geometry.smoothing else 0
-    stale, by = _spread(blocks, n, change.blocks, change.occupied, RADIUS)
+    near, by = _spread(blocks, n, change.blocks, change.occupied, RADIUS)
+    stale = sparse_zeros((n, ROWS), np.uint8)
+    stale[by] = near[by]
     stale[dirty] |= blocks['changed'][dirty]
     stale[change.risen_blocks] |= change.risen[change.risen_blocks]
     by = _union(n, by, dirty, change.risen_blocks)
@@ -78,9 +82,8 @@ def _part(memory: Any, settings: Any, change: Change, dirty: NDArray[np.int64],
         wanted[numbers] = rows[numbers] & bits[numbers]
         end = snapshot.list_marked(blocks, numbers, wanted, *lists, end)
         ends.append(end)
-    taken = snapshot.copied(memory, *(column[:end] for column in lists), ends[1])
-    return replace(taken, relief=memory.relief, reshaped=_reshaped(memory, change, taken),
-                   swept=ends[0])
+    taken = snapshot.copied(memory, *(column[:end] for column in lists), ends[1], shares=False)
+    return replace(taken, relief=memory.relief, reshaped=_reshaped(near, taken), swept=ends[0])
 
 
 def at_hand(memory: Any, voxel: NDArray[np.int32],
@@ -107,7 +110,8 @@ def at_hand(memory: Any, voxel: NDArray[np.int32],
         return None
     order = np.flatnonzero(known)
     order = order[np.lexsort((cell[order], block[order]))]      # as the whole map has them
-    taken = snapshot.copied(memory, block[order], cell[order], memory.find(index[order]), 0)
+    taken = snapshot.copied(memory, block[order], cell[order], memory.find(index[order]), 0,
+                            shares=False)
     return replace(taken, relief=relief, reshaped=NO_BLOCKS)
 
 
@@ -131,9 +135,8 @@ def _union(n: int, *numbers: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.flatnonzero(found)
 
 
-def _reshaped(memory: Any, change: Change, taken: snapshot.Snapshot) -> NDArray[np.int64]:
-    """Return the rows whose shape has to be found anew."""
-    if change.whole:
+def _reshaped(near: Optional[NDArray[np.uint8]], taken: snapshot.Snapshot) -> NDArray[np.int64]:
+    """Return the rows whose shape has to be found anew: cells near new ones; None: all."""
+    if near is None:
         return np.arange(len(taken.number))
-    near, _ = _spread(memory.m.blocks, memory.n_blocks, change.blocks, change.occupied, RADIUS)
     return np.flatnonzero(near[taken.block, taken.cell >> 3] >> (taken.cell & 7) & 1)

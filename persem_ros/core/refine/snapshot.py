@@ -79,13 +79,14 @@ class Snapshot:
     swept: int = 0
 
 
-def take(memory: VoxelMemory, neighbours: int | None = None, also: Any = ()) -> Snapshot:
+def take(memory: VoxelMemory, neighbours: int | None = None, also: Any = (),
+         shares: bool = True) -> Snapshot:
     """
     Return a Snapshot of the whole map or, with a neighbourhood, of what changed.
 
     With *neighbours* (6, 18 or 26) the voxels to be refined are those whose own or neighbouring
     evidence changed since the last call of settle(), and those of the blocks *also* (numbers);
-    the snapshot holds these and the ring around them.
+    the snapshot holds these and the ring around them. shares: as of copied().
 
     """
     if neighbours is None:
@@ -97,12 +98,17 @@ def take(memory: VoxelMemory, neighbours: int | None = None, also: Any = ()) -> 
         present = memory.m.voxels['gone'][number] == 0
         refined = int(np.count_nonzero(present[:refined]))
         block, cell, number = block[present], cell[present], number[present]
-    return copied(memory, block, cell, number, refined)
+    return copied(memory, block, cell, number, refined, shares)
 
 
 def copied(memory: VoxelMemory, block: NDArray[np.int64], cell: NDArray[np.int64],
-           number: NDArray[np.int64], refined: int) -> Snapshot:
-    """Return the Snapshot of the given voxels, the first *refined* of which are to be refined."""
+           number: NDArray[np.int64], refined: int, shares: bool = True) -> Snapshot:
+    """
+    Return the Snapshot of the given voxels, the first *refined* of which are to be refined.
+
+    Without *shares* its classes and shares have room, but no content.
+
+    """
     pools, n = memory.m, len(number)
     row = sparse_zeros(memory.n_numbers, np.int32)
     row[number] = np.arange(1, n + 1, dtype=np.int32)
@@ -111,11 +117,11 @@ def copied(memory: VoxelMemory, block: NDArray[np.int64], cell: NDArray[np.int64
     np.cumsum(start, out=start)
     index = np.empty((n, 3), np.int32)
     split(_place, n, pools.blocks, block, cell, index)
-    classes, shares = np.empty(start[-1], np.uint16), np.empty(start[-1])
+    classes, p = np.empty(start[-1], np.uint16), np.empty(start[-1])
     majority, observations, first, head = (np.empty(n, t) for t in ('u2', 'u4', 'u4', 'u4'))
-    split(_copy, n, pools.voxels, pools.spills, number, start, classes, shares, majority,
+    split(_copy, n, pools.voxels, pools.spills, number, start, shares, classes, p, majority,
           observations, first, head)
-    return Snapshot(block, cell, number, index, refined, row, start, classes, shares, majority,
+    return Snapshot(block, cell, number, index, refined, row, start, classes, p, majority,
                     observations, first, head, memory.frames.t, memory.frames.placed)
 
 
@@ -241,17 +247,18 @@ def _count(begin, end, voxels, spills, number, counts):
 
 
 @kernel
-def _copy(begin, end, voxels, spills, number, start, classes, shares, majority, observations,
-          first, head):
-    """Copy what the snapshot holds of each voxel."""
+def _copy(begin, end, voxels, spills, number, start, wanted, classes, shares, majority,
+          observations, first, head):
+    """Copy what the snapshot holds of each voxel, shares where wanted."""
     for r in range(begin, end):
         voxel = voxels[number[r]]
-        read_evidence(voxel, spills, classes, shares, start[r])
-        total = 0.0
-        for e in range(start[r], start[r + 1]):
-            total += shares[e]
-        for e in range(start[r], start[r + 1]):
-            shares[e] /= total
+        if wanted:
+            read_evidence(voxel, spills, classes, shares, start[r])
+            total = 0.0
+            for e in range(start[r], start[r + 1]):
+                total += shares[e]
+            for e in range(start[r], start[r + 1]):
+                shares[e] /= total
         majority[r] = voxel.majority
         observations[r] = voxel.n
         first[r] = voxel.first

@@ -35,6 +35,8 @@ def tables(evaluation: dict[str, Any]) -> list[Table]:
               if base in evaluation['differences']]
     if len(evaluation['sequences']) >= FEWEST and 'majority' in evaluation['differences']:
         found.append(between(evaluation))
+    if evaluation['macro']['all']['sequences']:
+        found.append(by_class(evaluation))
     if sum(m in methods for m in ABLATION) > 2:
         found.append(ablation(evaluation))
     if {'context_history', 'persem'} <= set(methods):
@@ -95,6 +97,18 @@ def between(evaluation: dict[str, Any]) -> Table:
                  'with replacement', ('method',), measures(signed=True), rows,
                  (*notes(evaluation), f'In brackets: {how["covered_percent"]:.0f} % intervals, '
                   f'whole sequences drawn with replacement, {how["resamples"]} resamples.'))
+
+
+def by_class(evaluation: dict[str, Any]) -> Table:
+    """Return the intersection over union of each class, mean of the sequences that have it."""
+    summaries, methods = list(evaluation['sequences'].values()), evaluation['methods']
+    names = {c['id']: c['name'] for s in summaries for c in s['classes']}
+    rows = []
+    for c in sorted({int(i) for s in summaries for i in s['methods'][methods[0]]['iou']}):
+        rows.append(((names.get(c, str(c)),), tuple(Cell(mean(
+            s['methods'][m]['iou'].get(str(c)) for s in summaries)) for m in methods)))
+    return Table('classes', f'Intersection over union by class, {_of(evaluation)}', ('class',),
+                 tuple(Column(m, 1) for m in methods), rows)
 
 
 def ablation(evaluation: dict[str, Any]) -> Table:
