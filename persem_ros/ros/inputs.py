@@ -4,10 +4,11 @@ from functools import partial
 import time
 
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TransformStamped
-from nav_msgs.msg import Odometry
+from nav_msgs.msg import Odometry, Path
 from persem_ros.errors import PersemError
 from persem_ros.inputs.decode import messages
-from persem_ros.inputs.intake import INFO, LABELS_INFO, LEGEND, ORDER, POSE, TF
+from persem_ros.inputs.intake import (
+    INFO, LABELS_INFO, LEGEND, ORDER, POSE, TF, TRAJECTORY)
 from persem_ros.inputs.recording.topics import roles_of
 from persem_ros.inputs.sync.pairing import (
     COLOR, CONFIDENCE, DEPTH, DEPTH_CONFIDENCE, LABELS)
@@ -23,7 +24,7 @@ from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
 TF_STATIC = 'tf_static'
-OPTIONAL = (COLOR, TF_STATIC, LABELS_INFO, LEGEND)      # nobody need publish them
+OPTIONAL = (COLOR, TF_STATIC, LABELS_INFO, LEGEND, TRAJECTORY)     # nobody need publish them
 QOS_OF = {CONFIDENCE: LABELS, DEPTH_CONFIDENCE: DEPTH}
 POSES = {cls.__name__: cls for cls in (PoseStamped, PoseWithCovarianceStamped, Odometry,
                                        TransformStamped)}
@@ -37,8 +38,8 @@ class Input:
     Parameters
     ----------
     role : str
-        'labels', 'depth', 'color', 'camera_info', 'labels_info', 'legend', 'pose', 'tf' or
-        'tf_static'.
+        'labels', 'depth', 'color', 'camera_info', 'labels_info', 'legend', 'pose', 'tf',
+        'tf_static' or 'trajectory'.
     name : str
         The topic as the settings name it, relative.
     topic : str
@@ -139,6 +140,8 @@ class Inputs:
                 self._add(role, topic, list(self._buffers.values()), [TFMessage],
                           config.qos.pose if role == TF else 'latched', 1000)
         self._add_legend(config)
+        if config.topics.trajectory:
+            self._add(TRAJECTORY, config.topics.trajectory, [None], [Path], 'auto', 1)
         self.resolve()
 
     @property
@@ -175,7 +178,7 @@ class Inputs:
                 number = 0
             if number is not None:
                 self._subscribe(one, number)
-            if one.role in (INFO, LABELS_INFO, LEGEND):
+            if one.role in (INFO, LABELS_INFO, LEGEND, TRAJECTORY):
                 self._listen_to_the_past(one)
 
     def want_color(self, wanted):

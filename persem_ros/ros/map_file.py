@@ -176,6 +176,12 @@ class MapFile:
         kept = f'; what was there is now {aside}' if aside is not None else ''
         return f'saved {len(saved.cell)} voxels to {path}{kept}'
 
+    def follow(self, old: VoxelMemory, new: VoxelMemory) -> None:
+        """Take note that a map goes on in another memory, with all that it held."""
+        for path, held in self._held.items():
+            if held.memory is old:
+                self._held[path] = held._replace(memory=new)
+
     def copied(self, memory: VoxelMemory) -> tuple[MemoryDump, VoxelMemory, int]:
         """Return a dump of the memory, the memory and what it had let go of by now."""
         return dump(memory), memory, self._forgotten()

@@ -23,6 +23,7 @@ from persem_ros.ros.inputs import check_topics, Inputs
 from persem_ros.ros.losses import Losses
 from persem_ros.ros.map import MapOutputs
 from persem_ros.ros.map_file import MapFile
+from persem_ros.ros.mover import check_moves
 from persem_ros.ros.parameters import Parameters
 from persem_ros.ros.services import Services
 from persem_ros.ros.watchdog import Watchdog
@@ -63,8 +64,10 @@ class Mapper(Node):
         self.statistics = Statistics()
         self.map_file = MapFile(lambda: self.statistics.forgotten, lambda: self.legend)
         memory = self.map_file.begin(config)
+        check_moves(config, memory)
         self.worker = Worker(config, self.statistics, memory)
         self.worker.renew = lambda: self.map_file.renew(self.worker.config)
+        self.worker.replaced = self.map_file.follow
         self.inbox = Inbox(config.sync, self.worker.lost)
         decode = Decoder()
         self.intake = LiveIntake(config, decode, self.statistics.dropped, self.worker.jumped,

@@ -122,7 +122,7 @@ class Refiner:
             self._wake()
 
 
-def stand_back():
+def stand_back() -> None:
     """Let the computing thread use one core, and that only where mapping does not need it."""
     work_alone()
     with suppress(OSError, AttributeError):

@@ -14,13 +14,15 @@ from persem_ros.core.jit import Announcement
 from persem_ros.core.memory.evict import keep_near
 from persem_ros.core.warmup import warm_up
 from persem_ros.errors import PersemError
-from persem_ros.inputs.intake import LEGEND
+from persem_ros.inputs.decode.serialized import Decoder
+from persem_ros.inputs.intake import LEGEND, TF, TRAJECTORY
 from persem_ros.inputs.live import BEHIND
 from persem_ros.inputs.sync.pairing import DEPTH, NO_DEPTH, QUEUE_FULL
 from persem_ros.pipeline import Pipeline
 from persem_ros.ros.checkpoints import CANNOT, Checkpoints
 from persem_ros.ros.images import NO_SOURCE
 from persem_ros.ros.losses import remedy
+from persem_ros.ros.mover import Mover
 from persem_ros.ros.refiner import Refiner
 
 log = logging.getLogger(__name__)
@@ -30,6 +32,7 @@ AT_ONCE = 20_000        # voxels that are forgotten between two frames
 THROTTLE = 5.0          # s between two warnings for one reason
 NOT_READY = 'came before the node was ready'
 LOOK = 0.1              # s between two looks at who listens to the map
+JUMP = 0.3              # m that a localisation goes at once where it jumps, or voxels if larger
 CHANGES = 1.0           # s after which changes are told however busy the node is
 
 
@@ -62,11 +65,15 @@ class Worker(threading.Thread):
         """Make an empty map, or go on with *memory*."""
         super().__init__(name='worker', daemon=True)
         self.pipeline = Pipeline(config, memory)
+        self._keep_all()
         self.statistics = statistics
         self.paused = False
         self.ready = threading.Event()
         self.refiner = Refiner(statistics, self._wake)
         self.checkpoints = Checkpoints(self._wake)
+        self.mover = Mover(Decoder(), self._wake)
+        self.replaced = lambda old, new: None   # told that the map goes on in another memory
+        self._watch_jumps = not config.topics.trajectory
         self.renew = lambda: None       # gives the memory of an empty map, None: any
         self._calls = queue.SimpleQueue()
         self._ending = False
@@ -135,6 +142,7 @@ class Worker(threading.Thread):
             self._calls.get()[0].set_exception(PersemError('the node is shutting down'))
         self.refiner.close()
         self.checkpoints.close()
+        self.mover.close()
         self.map.close()
 
     def run(self):
@@ -165,6 +173,7 @@ class Worker(threading.Thread):
             self.intake.names = self.intake.names.under(self.config, legend)
             self.map.publish_legend()
         self.pipeline = Pipeline(self.config, memory)
+        self._keep_all()
         self._stale = {'map', 'changes'}
         self._unrefined = memory is not None
 
@@ -253,6 +262,7 @@ class Worker(threading.Thread):
             self._answer(*self._calls.get())
         if self.refiner.finish(self.memory):
             self._stale |= {'map', 'changes'}
+        self._move()
         self._forget_far()
         if self.memory.pager is not None:
             self.checkpoints.step(self.memory.pager, self.config.map.checkpoint,
@@ -266,11 +276,39 @@ class Worker(threading.Thread):
         found = self.inbox.skip(self.intake.offset, round(self.config.sync.tolerance * 1e9))
         self.intake.skip(*found or (0, 0))
 
+    def _move(self):
+        """Go on in a map that has moved, when it is there."""
+        moved = self.mover.step(self.memory, self.config)
+        if moved is not None:
+            self.replaced(self.memory, moved)
+            self.pipeline = Pipeline(self.config, moved)
+            self._stale, self._unrefined = {'map', 'changes'}, True
+
+    def _keep_all(self):
+        """Drop no observation where a corrected trajectory may have to move it."""
+        if self.config.topics.trajectory:
+            self.memory.keeps_all = True        # max_history bounds what a refinement reads
+
+    def _look_for_jumps(self, item):
+        """Say once that a localisation has corrected itself, and what to do."""
+        least = max(JUMP, self.config.memory.voxel_size)
+        for buffer in item.input.takers:
+            said = buffer.jumped(least)
+            if said and self._watch_jumps:
+                self._watch_jumps = False
+                log.warning('%s; topics.trajectory takes the corrected path (nav_msgs/Path) and '
+                            'moves the map, persem map move does so afterwards', said)
+
     def _take(self, item):
+        if item.input.role == TRAJECTORY:
+            self.mover.take(item.data)
+            return
         for taker in item.input.takers:
             self.intake.take(item.input.role, taker, item.kind, item.arrival, item.data)
         if item.input.role == LEGEND:
             self.map.publish_legend()
+        elif item.input.role == TF and self._watch_jumps:
+            self._look_for_jumps(item)
         if not self.first_look.done:
             self.first_look.take(item)
             self.first_look.look(self.config, self.inputs)
@@ -292,6 +330,7 @@ class Worker(threading.Thread):
             labels = self.pipeline.render(frame, observations)
             outputs.publish(wanted, frame, labels, lambda: self._sources(frame, observations))
         if observations is not None:
+            self.mover.note(observations)
             self._stale.add('map')
             self._unrefined = True
         self.statistics.frame((time.monotonic_ns() - now) / 1e9)

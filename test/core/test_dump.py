@@ -5,12 +5,15 @@ from dataclasses import fields, replace
 from core_worlds import core_of, examples, observations, refinements, worlds
 from hypothesis import given, strategies as st
 import numpy as np
+from persem_ros.core.memory import dump as module
 from persem_ros.core.memory.capture import dump
 from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine.job import begin, finish, refine
 from persem_ros.core.refine.regions import regions
+from persem_ros.errors import PersemError
 from persem_ros.settings.config import METHODS, Refine
+import pytest
 
 
 def content(memory):
@@ -94,6 +97,27 @@ def test_a_map_saved_during_a_refinement_is_refined_when_it_comes_back():
 def test_an_empty_memory():
     loaded = load(dump(VoxelMemory(0.25, origin=(1.0, 2.0, 3.0), max_history=7)))
     assert content(loaded) == content(VoxelMemory(0.25, (1.0, 2.0, 3.0), 7))
+
+
+def test_a_map_needs_room_for_each_of_its_parts_alone(monkeypatch):
+    """Blocks are a hundred times as large as voxels: there is room for fewer of them."""
+    saved = dump(core_of([(k, {(x, y, 0): (k, 1.0) for x in range(16) for y in range(8)}, ())
+                          for k in range(9)]))
+    room = {'blocks': 2, 'voxels': 128, 'links': 512, 'spills': 256}
+    monkeypatch.setattr(module, 'VoxelMemory', lambda *arguments: small(*arguments, **room))
+    assert load(saved).n_voxels == 128
+    for name in room:
+        less = {**room, name: room[name] // 2 - 1 if name != 'spills' else 255}
+        monkeypatch.setattr(module, 'VoxelMemory', lambda *arguments: small(*arguments, **less))
+        with pytest.raises(PersemError, match='the map is full'):
+            load(saved)
+
+
+def small(*arguments, **capacity):
+    """Return a memory with little room."""
+    memory = VoxelMemory(*arguments)
+    memory.store.capacity = capacity
+    return memory
 
 
 def test_blocks_and_voxels_are_dumped_in_order_whatever_the_order_of_arrival():

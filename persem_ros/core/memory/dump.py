@@ -13,7 +13,8 @@ from persem_ros.core.memory.blocks import make_block, new_table
 from persem_ros.core.memory.evidence import add_evidence, count_classes, read_evidence
 from persem_ros.core.memory.frame_table import FrameTable
 from persem_ros.core.memory.history import link_of
-from persem_ros.core.memory.pools import CHUNK, CLOCK, OBSERVATIONS, STORED
+from persem_ros.core.memory.pools import (
+    BLOCKS, CHUNK, CLOCK, INLINE, LINKS, OBSERVATIONS, SPILLS, STORED, VOXELS)
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 
 
@@ -140,8 +141,8 @@ def enter(memory: VoxelMemory, saved: Blocks) -> NDArray[np.int64]:
     """Enter blocks that are not in memory, with all marks but no stamps; return their numbers."""
     n, block = len(saved.cell), np.empty(len(saved.block_index), np.int64)
     number = np.empty(n, np.int64)
-    memory.make_room(len(block), len(saved.history_frame) // CHUNK + 2 * n
-                     + len(saved.evidence_sum))
+    _check_room(memory, saved)
+    memory.make_room(len(block), 0)
     _write(memory.m, memory.table, saved.block_index, saved.block_start, saved.cell,
            np.ascontiguousarray(saved.observations), saved.evidence_start, saved.evidence_class,
            saved.evidence_sum, saved.history_start, saved.history_label, saved.history_confidence,
@@ -155,6 +156,18 @@ def enter(memory: VoxelMemory, saved: Blocks) -> NDArray[np.int64]:
         memory.store.beliefs['label'][number] = saved.label
     memory.m.used[STORED] += len(saved.history_frame)
     return block
+
+
+def _check_room(memory: VoxelMemory, saved: Blocks) -> None:
+    """Refuse blocks for which the machine's memory would not do, each pool by what it takes."""
+    spilt = np.maximum(np.diff(saved.evidence_start) - INLINE, 0)
+    n, used, capacity = len(saved.cell), memory.m.used, memory.store.capacity
+    for name, place, more in (
+            ('blocks', BLOCKS, len(saved.block_index)), ('voxels', VOXELS, n),
+            ('links', LINKS, len(saved.history_frame) // CHUNK + n),
+            ('spills', SPILLS, int((-(-spilt // INLINE)).sum()))):
+        if used[place] + more > capacity[name]:
+            memory.store.check_room(max(capacity.values()) + 1)
 
 
 def evidence_of_voxels(
