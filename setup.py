@@ -17,6 +17,7 @@ setup(
     packages=find_packages(include=[NAME, f'{NAME}.*']),
     package_data={NAME: ['py.typed'],
                   f'{NAME}.outputs.report': ['assets/*', 'templates/*'],
+                  f'{NAME}.outputs.view': ['assets/*'],
                   f'{NAME}.evaluate.show': ['templates/*']},
     python_requires='>=3.10',
     install_requires=[

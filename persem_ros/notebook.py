@@ -16,12 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.memory.pools import ranges
-from persem_ros.core.refine.explain import explain
 from persem_ros.errors import PersemError
 from persem_ros.outputs.export.source import Choice, labels_of, MapSource
 from persem_ros.outputs.map import store
 from persem_ros.outputs.map.cloud import SOURCES
-from persem_ros.outputs.map.explanation import explanation, of_file
+from persem_ros.outputs.map.part import explained, surroundings
 
 LISTS = ('start', 'classes', 'probabilities')
 
@@ -31,7 +30,7 @@ class Map:
     A map file (.persem), opened to be read.
 
     Opening it reads its small tables. Queries read the file, a few blocks at a time; `history`
-    and `explain` load the whole map once.
+    loads the whole map once.
 
     Parameters
     ----------
@@ -198,9 +197,10 @@ class Map:
 
     def explain(self, x: float, y: float, z: float) -> str:
         """Return why the voxel at a point has its label: the text of persem map query."""
-        voxel = self._voxel(x, y, z)
-        return explanation(of_file(self._stored), voxel,
-                           explain(self._memory, voxel, self.settings.refine))
+        stored, memory, voxel = surroundings(self.path, np.array([x, y, z], float))
+        if memory.find(voxel)[0] < 0:
+            raise PersemError(f'{self.path}: nothing was observed at {x:g} {y:g} {z:g} m')
+        return explained(stored, memory, voxel)[0]
 
     @cached_property
     def _stored(self) -> store.StoredMap:

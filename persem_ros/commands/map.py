@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, TYPE_CHECKING
 
 from persem_ros.commands import (
-    map_export, map_forget, map_georeference, map_merge, map_move)
+    map_export, map_forget, map_georeference, map_merge, map_move, map_view)
 from persem_ros.errors import PersemError
 
 if TYPE_CHECKING:
@@ -14,15 +14,14 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
     from persem_ros.core.memory.dump import MemoryDump
-    from persem_ros.core.memory.voxel_memory import VoxelMemory
     from persem_ros.outputs.map.store import StoredMap
 
 
 def add_parser(subparsers: _SubParsersAction[Any]) -> None:
     """Add the sub-command and its own sub-commands."""
     parser = subparsers.add_parser(
-        'map', help='look into a map file, hand it on: info, query, export, georeference, merge, '
-                    'move, forget',
+        'map', help='look into a map file, hand it on: info, query, view, export, georeference, '
+                    'merge, move, forget',
         description='Looks into a map file (.persem) as a replay or ~/save_map leaves it.')
     actions = parser.add_subparsers(metavar='ACTION', required=True)
 
@@ -30,6 +29,7 @@ def add_parser(subparsers: _SubParsersAction[Any]) -> None:
     info_parser.add_argument('file', metavar='FILE', help='a map file (.persem)')
     info_parser.set_defaults(run=info)
 
+    map_view.add_parser(actions)
     map_export.add_parser(actions)
     map_georeference.add_parser(actions)
     map_merge.add_parser(actions)
@@ -77,29 +77,28 @@ def info(args: Namespace) -> None:
 def query(args: Namespace) -> None:
     """Print the history, evidence and label of the voxel at a point."""
     import numpy as np
-    from persem_ros.core.refine.explain import explain
-    from persem_ros.outputs.map.explanation import explanation, of_file
-    from persem_ros.outputs.map.store import load
-    stored = load(args.file)
-    memory = stored.memory()
+    from persem_ros.outputs.map.part import explained, surroundings
     point = np.array([args.x, args.y, args.z])
-    place = np.floor((point - memory.origin) / memory.voxel_size)
-    if not (np.abs(place) < 2 ** 31 - 16).all() or memory.find(place.astype(np.int32))[0] < 0:
+    stored, memory, voxel = surroundings(args.file, point)
+    if memory.find(voxel)[0] < 0:
         raise PersemError(f'{args.file}: nothing was observed at {_point(point)} m'
-                          + _nearest(memory, point))
-    voxel = place.astype(np.int32)
-    print(explanation(of_file(stored), voxel, explain(memory, voxel, stored.config().refine)))
+                          + _nearest(args.file, point))
+    print(explained(stored, memory, voxel)[0])
 
 
-def _nearest(memory: VoxelMemory, point: NDArray[np.float64]) -> str | None:
+def _nearest(path: str, point: NDArray[np.float64]) -> str:
     """Return words that name the observed voxel nearest to a point."""
     import numpy as np
-    if not memory.n_voxels:
+    from persem_ros.outputs.export.source import Choice, MapSource
+    source, best = MapSource(path), (np.inf, point)
+    for columns in source.chunks(Choice(gone=True)):
+        centres = source.centres(columns['voxel'])
+        distance = np.linalg.norm(centres - point, axis=1)
+        nearest = int(np.argmin(distance))
+        best = min(best, (float(distance[nearest]), centres[nearest]), key=lambda item: item[0])
+    if not source.n_voxels:
         return '; the map is empty'
-    centres = (memory.voxels()['voxel'] + 0.5) * memory.voxel_size + np.array(memory.origin)
-    distance = np.linalg.norm(centres - point, axis=1)
-    best = int(np.argmin(distance))
-    return f'; the nearest voxel is {distance[best]:.2f} m away at {_point(centres[best])}'
+    return f'; the nearest voxel is {best[0]:.2f} m away at {_point(best[1])}'
 
 
 def _frames_line(saved: MemoryDump) -> str:

@@ -22,7 +22,9 @@ FORMATS = (
     ('npz', 'OUT', 'a NumPy archive with all class probabilities'),
     ('parquet', 'OUT', 'a table with all class probabilities (needs pyarrow)'),
     ('grid', 'DIR', 'costs for a vehicle on the ground as Nav2 loads them: map.yaml, map.pgm, and '
-                    'classes beside'))
+                    'classes beside'),
+    ('tiles', 'DIR', '3D Tiles 1.1: point clouds by level of detail, tileset.json and tiles/'))
+INSIDE = {'grid': ('map.yaml',), 'tiles': ('tileset.json',)}       # of a folder: its chief file
 CHANGEABLE = ('grid.', 'map.crs', 'map.georeference')
 
 
@@ -124,8 +126,14 @@ def _grid(out: str, source: MapSource, choice: Choice) -> str:
             f'{(cells.cost < 0).sum()} unknown')
 
 
+def _tiles(out: str, source: MapSource, choice: Choice) -> str:
+    from persem_ros.outputs.export.tiles import write_tiles
+    tiles, points = write_tiles(out, source, choice)
+    return f'{points} points in {tiles} tiles of 3D Tiles 1.1 written to {out}/tileset.json'
+
+
 WRITERS = {'ply': _ply, 'laz': _laz, 'geotiff': _geotiff, 'mesh': _mesh, 'npz': _npz,
-           'parquet': _parquet, 'grid': _grid}
+           'parquet': _parquet, 'grid': _grid, 'tiles': _tiles}
 
 
 def _where(source: MapSource) -> str:
@@ -157,7 +165,7 @@ def _choice(args: Namespace, legend: Legend) -> Choice:
 def _check_free(args: Namespace, name: str, out: str) -> None:
     """Refuse an output that exists or is the map."""
     from pathlib import Path
-    path = Path(out) / 'map.yaml' if name == 'grid' else Path(out)
+    path = Path(out, *INSIDE.get(name, ()))
     if path.resolve() == Path(args.file).resolve():
         raise PersemError(f'{out} is the map itself; give another name with --{name}')
     if path.is_file() and not args.force:

@@ -132,7 +132,8 @@ def test_query_says_why(capsys, wall):
     status, out, err = run(capsys, 'map', 'query', wall[0], 100.3, 2.2, 0.1)
     assert (status, err) == (0, '')
     assert 'voxel 0 4 0, centre 100.250 2.250 0.250 m in map' in out
-    assert 'label 1 road, by history (method persem), confidence 0.4286' in out
+    assert 'label 1 road, by history (method persem), confidence 0.4286: its share of the ' \
+           'evidence' in out
     assert '4 observations, majority label 2 water?[31m, 2 neighbours' in out
     assert 'anchor: (1 - 0.3) p_v + 0.3 q_v is largest for 1 road, 0.6000, ' \
            'against 0.4000 for the majority label: final' in out
@@ -156,6 +157,9 @@ def test_query_for_each_kind_of_method(capsys, tmp_path, method, words):
     status, out, _ = run(capsys, 'map', 'query', path, 100.3, 2.2, 0.1)
     assert status == 0 and words in out
     assert 'this trace ends' not in out
+    assert ('how probable the method holds it' in out) == (method == 'geometry')
+    for heading in ('h_v: evidence', 's: share of the pixels'):     # what the columns are
+        assert heading in out
 
 
 def test_query_of_a_trust_proposal(capsys, tmp_path):

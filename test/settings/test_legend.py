@@ -44,7 +44,16 @@ def test_costs_and_codes():
     legend = Legend.from_yaml('classes:\n- {id: 1, name: a, cost: 0, las: 11}\n- {id: 2, name: b}')
     assert (legend.numbers('cost'), legend.numbers('las')) == ({1: 0}, {1: 11})
     assert Legend.from_yaml(legend.to_yaml()) == legend
-    assert set(load_legend('town').numbers('cost')) == set(range(1, 11))
+
+
+@pytest.mark.parametrize('name', ['town', 'uavscenes', 'forest', 'cityscapes'])
+def test_shipped_legends_have_costs_and_codes(name):
+    legend = load_legend(name)
+    wanted = {item.id for item in legend.classes if not item.ignored} - (
+        {10} if name == 'cityscapes' else set())        # its sky is a class
+    assert set(legend.numbers('cost')) == set(legend.numbers('las')) == wanted
+    own = [code for code in legend.numbers('las').values() if code >= 64]
+    assert len(own) == len(set(own))
 
 
 @pytest.mark.parametrize(('key', 'value'), [

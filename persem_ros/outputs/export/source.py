@@ -15,6 +15,7 @@ from persem_ros.core.memory.pools import SIDE
 from persem_ros.errors import PersemError
 from persem_ros.guard.database import checked, held_by
 from persem_ros.outputs.map import schema1
+from persem_ros.outputs.map.checks import FARTHEST_BLOCK
 from persem_ros.outputs.map.rows import about_of, columns_of, KINDS, matrices, ORDER
 from persem_ros.outputs.map.store import reading
 from persem_ros.outputs.progress import progress
@@ -114,6 +115,10 @@ class MapSource:
         Nanoseconds, by row of the frame table.
     positions : ndarray, shape (f, 3), float64
         The sensor's, metres in the map frame, the best known.
+    lines : list of (int, str), f of them
+        Session and sensor.
+    seen : list of int
+        The ids that were ever observed.
 
     Raises
     ------
@@ -136,6 +141,8 @@ class MapSource:
                     for row in small['frames']]
             self.positions = matrices(best)[:, :3, 3]
             self._t = np.array([row[1] for row in small['frames']], np.int32)
+            self.lines = [(row[2], row[3]) for row in small['frames']]
+            self.seen = [row[0] for row in small['classes'] if row[3]]
         self.voxel_size = float(about['voxel_size'])
         self.origin = np.array(struct.unpack('<3d', about['origin']))
         self.map_frame = str(about['map_frame'])
@@ -177,6 +184,56 @@ class MapSource:
                 rows.append(row)
             if rows:
                 yield self._chosen(_decoded(rows, first), choice)
+
+    def index(self, since: int = 0) -> tuple[NDArray[np.int32], int]:
+        """
+        Return the places of blocks and a mark of this moment.
+
+        Parameters
+        ----------
+        since : int
+            An earlier mark: only blocks that were written after it. A mark that is less than the
+            one handed in means another file: all blocks are new.
+
+        Returns
+        -------
+        index : ndarray, shape (n, 3), int32
+        mark : int
+
+        """
+        with reading(self.path) as (db, _):
+            # Whoever writes a block anew gives it the next row, or the last one once more.
+            mark = int(db.execute('SELECT coalesce(max(rowid), 0) FROM blocks').fetchone()[0])
+            rows = db.execute('SELECT x, y, z FROM blocks WHERE rowid >= ?', (since,)).fetchall() \
+                if since else db.execute('SELECT x, y, z FROM blocks').fetchall()
+            if not all(type(x) is int and abs(x) <= FARTHEST_BLOCK for row in rows for x in row):
+                raise ValueError('place of a block')
+        return np.array(rows, np.int32).reshape(-1, 3), mark
+
+    def blocks(self, index: NDArray[np.int32], choice: Choice | None = None) -> Columns:
+        """Return the chosen voxels of some blocks, as chunks() does, in the order of *index*."""
+        with reading(self.path) as (db, first):
+            self._catch_up(db)
+            found = (row for key in index.tolist() for row in db.execute(
+                'SELECT * FROM blocks WHERE x = ? AND y = ? AND z = ?', key))
+            kinds: Any = (schema1.KINDS if first else KINDS)['blocks']
+            rows: list[Any] = list(checked(found, kinds, held_by(self.path)))
+            return self._chosen(_decoded(rows, first), choice or Choice())
+
+    def _catch_up(self, db: Any) -> None:
+        """Read the frames that a living map has had since it was opened."""
+        if self._first or db.execute('SELECT coalesce(max(row), -1) FROM frames').fetchone()[0] \
+                < len(self.stamps):
+            return
+        kinds: Any = KINDS['frames']
+        rows = list(checked(db.execute(
+            'SELECT * FROM frames WHERE row >= ? ORDER BY row', (len(self.stamps),)),
+            kinds, held_by(self.path)))
+        best = matrices([row[5] if row[6] is None else row[6] for row in rows])
+        self.positions = np.concatenate([self.positions, best[:, :3, 3]])
+        self._t = np.concatenate([self._t, np.array([row[1] for row in rows], np.int32)])
+        self.lines = self.lines + [(row[2], row[3]) for row in rows]
+        self.stamps = np.concatenate([self.stamps, np.array([row[4] for row in rows], np.int64)])
 
     def shown(self, choice: Choice, what: str) -> AbstractContextManager[Iterator[Columns]]:
         """Give chunks(choice) to be looped over, with a progress bar called *what*."""
@@ -250,7 +307,8 @@ def _decoded(rows: list[Any], first: bool) -> Columns:
                                                  'majority', 'source')):
         raise ValueError('length of a column')
     cell = raw['cell'].astype(np.int32)
-    corner = np.repeat(np.array([row[:3] for row in rows], np.int64) * SIDE, count, axis=0)
+    corner = np.repeat(np.array([row[:3] for row in rows], np.int64).reshape(-1, 3) * SIDE,
+                       count, axis=0)
     if (np.abs(corner) >= 2 ** 31 - 2 * SIDE).any():
         raise ValueError('place of a block')
     voxel = corner.astype(np.int32) + np.stack([cell >> 6, cell >> 3 & 7, cell & 7], axis=1)

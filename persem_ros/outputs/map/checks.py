@@ -46,8 +46,13 @@ def check_about(about: Mapping[str, Any]) -> None:
         'map frame': '\0' not in about['map_frame']})
 
 
-def check_dump(saved: MemoryDump, about: Mapping[str, Any]) -> None:
-    """Refuse (ValueError) a map whose columns, counters and frames do not fit together."""
+def check_dump(saved: MemoryDump, about: Mapping[str, Any] | None) -> None:
+    """
+    Refuse (ValueError) a map whose columns, counters and frames do not fit together.
+
+    Of a part of a map's blocks (*about* None) the counts are not looked at.
+
+    """
     _check_frames(saved.frames, saved.session)
     _check_counters(saved, *check_blocks(saved, saved.frames.t, saved.seen_ids, about))
 

@@ -19,6 +19,19 @@ if TYPE_CHECKING:
 
 TILTS = ('upright', 'sloping', 'level', 'of no direction')
 ROUGHNESS = ('smooth', 'rough', 'scattered')
+# What stands in the columns of the tables, below them.
+GEOMETRY_WORDS = (
+    'looks: share of its own looks. Shares of places that are of this class: overall, anywhere;',
+    'shape, of this height and shape; here and here 2, of this kind in two squares around it.',
+    'around: what its neighbours are. together: how probable it is; the first row is the label.')
+EVIDENCE_WORDS = (
+    'h_v: evidence, the sum of s below; p_v: its share; q_v: mean p_v of the neighbours; S_hard:',
+    'share of neighbours with this majority; anchor: p_v and q_v mixed; replayed: evidence in',
+    'which the old, the doubtful and the surprising weigh less.')
+HISTORY_WORDS = (
+    's: share of the pixels that fell into the voxel in that frame and said so, with the',
+    "segmenter's confidence where topics.confidence gives it; gap: frames since the one before;",
+    'g: 1 where it contradicts the leader; weight: of s, in the replay; leader: after it.')
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +74,9 @@ def explanation(around: Surroundings, voxel: NDArray[np.int32], trace: dict[str,
     lines = [f'voxel {" ".join(str(int(i)) for i in voxel)}, centre '
              f'{" ".join(f"{x:.3f}" for x in centre)} m in {around.map_frame}',
              f'label {label} {name(label)}, by {SOURCES[trace["stored_source"]]} '
-             f'(method {settings.method}), confidence {share:.4f}',
+             f'(method {settings.method}), confidence {share:.4f}: ' + (
+                 'its share of the evidence' if trace['geometry'] is None else
+                 'how probable the method holds it'),
              f'{trace["observations"]} observations, majority label {trace["majority"]} '
              f'{name(trace["majority"])}, {trace["neighbours"]} neighbours', '', 'why']
     lines += [f'  {sentence}' for sentence in reasons(trace, settings, name, around.voxel_size)]
@@ -111,8 +126,9 @@ def _by_geometry(found: Any, voxel_size: Any, name: Any) -> Any:
         best = sorted(values, key=lambda c: (-values[c], c))[:3]
         return ', '.join(f'{name(c)} {values[c]:.2f}' for c in best if values[c] >= 0.005)
 
-    result = [f'votes: {leading(found["votes"])}; looks from the same direction count once, '
-              f'{found["looks"]:.2f} votes, worth {found["independent"]:.2f} independent ones',
+    result = [f'looks: {leading(found["votes"])}; those from one direction count once, which '
+              f'leaves {found["looks"]:.2f}; as even these repeat mistakes of each other, they '
+              f'weigh like {found["independent"]:.2f} that do not',
               f'place: {found["height"] * voxel_size:.2f} m above ground ({found["height"]} '
               f'voxels), {TILTS[found["tilt"]]}, {ROUGHNESS[found["roughness"]]}',
               f'places of this height and shape are called: {leading(found["shape"])}',
@@ -123,15 +139,15 @@ def _by_geometry(found: Any, voxel_size: Any, name: Any) -> Any:
 
 def geometry_table(found: Any, name: Any) -> Any:
     """Return the table of what each class gets from every part of the method geometry."""
-    lines = [f'{"id":>5}  {"class":<20}{"votes":>9}{"pi":>9}{"shape":>9}{"cell":>9}'
-             f'{"cell/2":>9}{"around":>9}{"posterior":>11}']
+    lines = [f'{"id":>5}  {"class":<20}{"looks":>9}{"overall":>9}{"shape":>9}{"here":>9}'
+             f'{"here 2":>9}{"around":>9}{"together":>11}']
     order = sorted(found['posterior'], key=lambda c: (-found['posterior'][c], c))
     for c in order[:16]:
         lines.append(f'{c:>5}  {name(c)[:19]:<20}' + ''.join(
             f'{found[key].get(c, 0.0):>9.4f}' for key in (
                 'votes', 'frequencies', 'shape', 'cell', 'shifted_cell', 'neighbours'))
             + f'{found["posterior"][c]:>11.4f}')
-    return lines
+    return [*lines, *GEOMETRY_WORDS]
 
 
 def _refinement(trace: dict[str, Any], settings: Refine, name: Callable[..., Any]) -> list[str]:
@@ -191,7 +207,7 @@ def evidence_table(trace: dict[str, Any], name: Callable[..., Any]) -> list[str]
                      + ''.join(f'{trace[key].get(c, 0.0):>9.4f}'
                                for key in ('shares', 'soft', 'hard', 'anchor'))
                      + f'{trace["replayed"].get(c, 0.0):>10.4f}')
-    return lines
+    return [*lines, *EVIDENCE_WORDS]
 
 
 def history_table(
@@ -210,4 +226,4 @@ def history_table(
                      f'{name(step["label"])[:19]:<20}{step["confidence"]:>7.4f}'
                      f'{step["gap"]:>6}{step["surprise"]:>3}{step["weight"]:>9.5f}  '
                      f'{step["leader"]} {name(step["leader"])}')
-    return lines
+    return [*lines, *HISTORY_WORDS]

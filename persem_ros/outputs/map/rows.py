@@ -145,7 +145,8 @@ def block_rows(saved: MemoryDump) -> Iterator[tuple[bytes | int, ...]]:
         yield (*key, crc_of([(*key, *data)]), *data)
 
 
-def from_rows(rows: dict[str, Any]) -> tuple[dict[str, Any], MemoryDump] | None:
+def from_rows(rows: dict[str, Any], part: bool = False,
+              ) -> tuple[dict[str, Any], MemoryDump]:
     """
     Return what the rows of a map file say.
 
@@ -154,6 +155,8 @@ def from_rows(rows: dict[str, Any]) -> tuple[dict[str, Any], MemoryDump] | None:
     rows : dict
         {table: list of rows}, sorted as ORDER says; of schema 1, where there are no sessions;
         without blocks, where there is no such table.
+    part : bool
+        Whether the rows of blocks are some of them only.
 
     Returns
     -------
@@ -184,7 +187,7 @@ def from_rows(rows: dict[str, Any]) -> tuple[dict[str, Any], MemoryDump] | None:
         max_history=about['max_history'], session=about['session'],
         **_counters(classes, about['refined']), frames=table, **habits)
     if 'blocks' in rows:
-        check_dump(saved, about)
+        check_dump(saved, None if part else about)
     else:
         check_head(saved)
     return about, saved

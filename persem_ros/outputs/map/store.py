@@ -9,7 +9,7 @@ Any SQLite program reads the file; docs/map_file.md describes the columns.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 import logging
@@ -209,7 +209,14 @@ def load(path: Path | str) -> StoredMap:
         For a file that is missing, foreign, of another schema, or damaged.
 
     """
-    return _read(Path(path), True).stored
+    return _read(Path(path), '').stored
+
+
+def load_part(path: Path | str, low: Sequence[int], high: Sequence[int]) -> StoredMap:
+    """Return what load() does, but only of blocks whose indices lie within *low* … *high*."""
+    return _read(Path(path), 'WHERE ' + ' AND '.join(
+        f'{axis} BETWEEN {int(least)} AND {int(most)}'
+        for axis, least, most in zip('xyz', low, high))).stored
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,18 +230,20 @@ class Head:
 
 def head(path: Path | str) -> Head:
     """Return the Head of a file; raises as load() does."""
-    return _read(Path(path), False)
+    return _read(Path(path), None)
 
 
-def _read(path: Path, whole: bool) -> Head:
-    """Return what a file holds, with its blocks or without."""
+def _read(path: Path, which: str | None) -> Head:
+    """Return what a file holds, with all blocks (''), those of a WHERE, or without (None)."""
     with reading(path) as (db, first):
         names, kinds = (schema1.NAMES, schema1.KINDS) if first else (NAMES, KINDS)
         size = held_by(path)
+        where = dict.fromkeys(ORDER, '') | {'blocks': which}
         rows = {table: list(checked(
-            db.execute(f'SELECT * FROM {table} ORDER BY {ORDER[table]}'), kinds[table], size))
-            for table in ORDER if table in names and (whole or table != 'blocks')}
-        about, saved = from_rows(rows)
+            db.execute(f'SELECT * FROM {table} {where[table]} ORDER BY {ORDER[table]}'),
+            kinds[table], size))
+            for table in ORDER if table in names and where[table] is not None}
+        about, saved = from_rows(rows, part=bool(which))
     legend = Legend.from_yaml(about['legend'], str(path)) if about['legend'] else Legend()
     return Head(StoredMap(path, saved, about['map_frame'], about['settings'], legend),
                 dict(rows['about']), 1 if first else SCHEMA)
