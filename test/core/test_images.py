@@ -60,10 +60,15 @@ def test_random_frames(seed, h, w, stride, ignored, dynamic):
     assert counted(thinned(frame, settings), settings) == expected(frame, settings)
     # Placing pixels without their points is only a short cut.
     frame = replace(frame, T_map_camera=pose(rng, 40.0))
-    for voxel_size, origin in ((0.5, (0.0, 0.0, 0.0)), (0.03, (7.0, -300.0, 0.1))):
-        keys, base = placed(frame, settings, voxel_size, origin)
-        those, its = place(points(frame, settings)[0], frame.T_map_camera, voxel_size, origin)
+    for voxel_size, origin in ((0.5, (0.0, 0.0, 0.0)), (0.03, (7.0, -300.0, 0.1)),
+                               (5e-6, (0.0, 0.0, 0.0))):        # some are out of reach
+        offsets, their_offsets = np.empty((2, depth.size), np.int32)
+        keys, base = placed(frame, settings, voxel_size, origin, offsets)
+        those, its = place(points(frame, settings)[0], frame.T_map_camera, voxel_size, origin,
+                           their_offsets)
         assert keys.tolist() == those.tolist() and base.tolist() == its.tolist()
+        assert offsets.tolist() == their_offsets.tolist()
+        assert placed(frame, settings, voxel_size, origin)[0].tolist() == those.tolist()
 
 
 @given(seeds, st.integers(1, 6), st.integers(1, 6), st.integers(1, 5), st.integers(1, 5))

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.frame.observe import key_of, place, placing
+from persem_ros.core.frame.observe import NOWHERE, place, placing, REACH
 from persem_ros.core.frame.render import nearest
-from persem_ros.core.jit import kernel, split
+from persem_ros.core.jit import inlined, kernel, split
 from persem_ros.errors import PersemError
 from persem_ros.frames import Frame, IGNORED, MAX_ID, same_aspect
 from persem_ros.settings.config import Memory
@@ -175,17 +175,57 @@ def _count(begin, end, labels, table, out):
 
 @kernel
 def _place(begin, end, depth, rays, min_depth, max_depth, pose, base, voxel_size, keys, offsets):
-    """Write the key of each pixel's voxel in rows begin .. end, and its place there."""
-    measured = len(offsets) > 0
+    """
+    Write the key of each pixel's voxel in rows begin .. end, and its place there.
+
+    What core.frame.observe.key_of() does for one point, for a row of them at once and axis by
+    axis: loops without branches, which the compiler turns into vector instructions (1.8 ms
+    instead of 3.3 for 640 x 480 pixels).
+
+    """
+    width, measured = depth.shape[1], len(offsets) > 0
+    index, part = np.empty((3, width)), np.empty((3, width))
     for v in range(begin, end):
-        for u in range(depth.shape[1]):
-            d = depth[v, u]
-            if not (min_depth <= d <= max_depth and d > 0.0):
-                d = np.nan
-            key, offset = key_of(rays[v, u, 0] * d, rays[v, u, 1] * d, d, pose, base, voxel_size)
-            keys[v, u] = key
-            if measured:
-                offsets[v, u] = offset
+        for axis in range(3):
+            _along(depth[v], rays[v].reshape(-1), pose[3 * axis], pose[3 * axis + 1],
+                   pose[3 * axis + 2], pose[9 + axis], base[axis], voxel_size, index[axis],
+                   part[axis])
+        _join(depth[v], min_depth, max_depth, index[0], index[1], index[2], keys[v])
+        if measured:
+            _pack(keys[v], part[0], part[1], part[2], offsets[v])
+
+
+@inlined
+def _along(depth, rays, a, b, c, d, base, voxel_size, index, part):
+    """Write a row's voxels along one axis, from the sensor's own, and 256ths of the edge there."""
+    for u in range(len(depth)):
+        z = depth[u]
+        place = (a * (rays[2 * u] * z) + b * (rays[2 * u + 1] * z) + c * z + d) / voxel_size
+        low = np.floor(place)
+        index[u] = low - base
+        inside = (place - low) * 256.0
+        part[u] = inside if inside < 255.0 else 255.0   # a hair below zero is, less its floor, 1
+
+
+@inlined
+def _join(depth, min_depth, max_depth, x, y, z, keys):
+    """Write the keys of a row of indices; NOWHERE where depth is no measurement or too far."""
+    reach = np.float64(REACH)
+    for u in range(len(depth)):
+        d = depth[u]
+        there = (min_depth <= d) & (d <= max_depth) & (d > 0.0) \
+            & (abs(x[u]) < reach) & (abs(y[u]) < reach) & (abs(z[u]) < reach)
+        key = (np.int64(np.int32(x[u] + reach)) << 42) \
+            | (np.int64(np.int32(y[u] + reach)) << 21) | np.int64(np.int32(z[u] + reach))
+        keys[u] = key if there else NOWHERE
+
+
+@inlined
+def _pack(keys, x, y, z, offsets):
+    """Write a row's places in their voxels, 8 bits an axis."""
+    for u in range(len(keys)):
+        offset = (np.int32(x[u]) << 16) | (np.int32(y[u]) << 8) | np.int32(z[u])
+        offsets[u] = offset if keys[u] != NOWHERE else 0
 
 
 @kernel

@@ -382,7 +382,7 @@ def _vote(n, min_pixels, tallies, extras, measured, numbers):
             share = most / total
             confidence[g] = np.float32(share / ONE if len(numbers) > 0 else share)
             if measured:    # rounded, not cut off: the mean of offsets that were cut off
-                means[g, 0] = min((2 * np.int64(tallies[g].x) + total) // (2 * total), 255)
-                means[g, 1] = min((2 * np.int64(tallies[g].y) + total) // (2 * total), 255)
-                means[g, 2] = min((2 * np.int64(tallies[g].z) + total) // (2 * total), 255)
+                means[g, 0] = min(np.int64((tallies[g].x + 0.5 * total) / total), 255)
+                means[g, 1] = min(np.int64((tallies[g].y + 0.5 * total) / total), 255)
+                means[g, 2] = min(np.int64((tallies[g].z + 0.5 * total) / total), 255)
     return best, confidence, means
