@@ -7,7 +7,7 @@
 # make bench-long   a survey larger than its memory; ARGS="--voxels 5e7"
 # make bench-live  the node under load, through real DDS
 # make fuzz         files that mean harm, for MINUTES=30; prints its seed (SEED=n repeats it)
-# make signals      Ctrl-C and SIGTERM at 200 moments of each command that test_signals.py runs
+# make signals      Ctrl-C and SIGTERM at MOMENTS=200 of each command; all of them without streams
 # make docs          the documentation as a site, build/site/index.html; a broken link fails
 # make docs-links    asks every address on the network
 # make clean         away with everything that these made
@@ -60,8 +60,10 @@ MINUTES ?= 30
 fuzz: $(VENV)/installed-test
 	$(RUN) test/fuzz/fuzz.py --minutes $(MINUTES) $(if $(SEED),--seed $(SEED)) $(ARGS)
 
+MOMENTS ?= 200
+
 signals: $(VENV)/installed-test
-	PERSEM_SIGNALS=200 $(RUN) -m pytest -q test/commands/test_signals.py $(ARGS)
+	PERSEM_SIGNALS=$(MOMENTS) $(RUN) -m pytest -q test/commands/test_signals.py test/commands/test_streams.py $(ARGS)
 
 docs: $(VENV)/installed-docs
 	$(RUN) -m sphinx -W --keep-going -q -b html docs build/site

@@ -17,6 +17,7 @@ from persem_ros.outputs.export.source import MapSource
 from persem_ros.outputs.map import rows, store
 from persem_ros.outputs.map.cloud import map_points
 from persem_ros.outputs.map.explanation import explanation, of_file
+from persem_ros.outputs.map.habits import from_blob, to_blob
 from persem_ros.outputs.map.living import LivingMap
 from persem_ros.settings.config import Config, METHODS, Refine
 from persem_ros.settings.legend import Legend
@@ -61,7 +62,8 @@ def tamper(source, target, seed):
     with closing(sqlite3.connect(target)) as db:
         _hurry(db)
         for _ in range(rng.choice((1, 1, 2, 3))):
-            act = rng.choice((_column, _column, _column, _about, _cell, _rows, _schema, _shift))
+            act = rng.choice((_column, _column, _column, _about, _cell, _rows, _schema, _shift,
+                              _habits))
             try:
                 done.append((act.__name__, act(db, rng)))
             except (sqlite3.Error, OverflowError, IndexError, TypeError, ValueError):
@@ -163,6 +165,35 @@ def _shift(db, rng):
     return axis
 
 
+def _habits(db, rng):
+    """Change an array of the parameters of the method geometry, its list kept right."""
+    blob = db.execute("SELECT value FROM about WHERE name = 'habits'").fetchone()[0]
+    arrays, fitted_by = from_blob(blob)
+    name, how = rng.choice(sorted(arrays)), rng.choice(('one', 'all', 'swap', 'longer', 'shorter',
+                                                        'none', 'other', 'gone'))
+    array, kind = arrays[name], arrays[name].dtype
+    with np.errstate(all='ignore'):
+        new = np.float64(rng.choice(FLOATS)) if kind.kind == 'f' else np.array(
+            rng.choice(NUMBERS) % (1 << 8 * kind.itemsize), 'u8').astype(kind)
+    flat = array.reshape(-1)
+    if how == 'one' and len(flat):
+        flat[rng.randrange(len(flat))] = new
+    elif how == 'all':
+        flat[:] = new
+    elif how == 'swap' and len(flat) > 1:
+        a, b = rng.sample(range(len(flat)), 2)
+        flat[a], flat[b] = flat[b], flat[a]
+    with np.errstate(all='ignore'):
+        arrays[name] = {
+            'longer': np.concatenate([array, array[-1:]]), 'shorter': array[:-1],
+            'none': array[:0], 'other': array.astype('<f8' if kind.kind != 'f' else '<i8'),
+            }.get(how, array)
+    if how == 'gone':
+        del arrays[name]
+    db.execute("UPDATE about SET value = ? WHERE name = 'habits'", (to_blob(arrays, fitted_by),))
+    return name, how
+
+
 def exercise(path, again):
     """
     Load a map and do to it all that persem does, and save, load and map on once more.
@@ -196,6 +227,7 @@ def exercise(path, again):
         voxel = columns['voxel'][0]
         explanation(of_file(stored), voxel, explain(memory, voxel, config.refine))
     refine(memory, Refine())
+    refine(stored.memory(), Refine(method='geometry'), full=False)      # by its parameters
     memory.new_session()
     far = [[0.0, 0.0, 1.0], [0.0, 5.0, 1.0]] + [
         ((voxel + 0.5) * memory.voxel_size).tolist() for voxel in columns['voxel'][:3]]

@@ -174,6 +174,9 @@ def _add_writing(parser: ArgumentParser) -> None:
     group.add_argument('--frames', metavar='A:B', default='',
                        help='only frames A to B - 1, counted from 0')
     group.add_argument('--every', metavar='N', type=int, default=1, help='every N-th frame')
+    group.add_argument('--max-pixels', metavar='N', type=int, default=64_000_000,
+                       help='larger images are refused before they are decoded (default: '
+                            '%(default)s)')
     group.add_argument('--storage', choices=('mcap', 'sqlite3'), default='mcap',
                        help='default: %(default)s')
     group.add_argument('--compress', action='store_true', help='Zstandard compression')
@@ -182,6 +185,7 @@ def _add_writing(parser: ArgumentParser) -> None:
 
 def run_frames(args: Namespace) -> None:
     """Convert folders of files."""
+    _bound(args)
     from persem_ros.convert.frames.convert import convert_frames, FramesOptions
     options = FramesOptions(
         **{name: getattr(args, name) for name in (
@@ -196,6 +200,7 @@ def run_frames(args: Namespace) -> None:
 
 def run_uavscenes(args: Namespace) -> None:
     """Convert a run of UAVScenes."""
+    _bound(args)
     from persem_ros.convert.uavscenes.convert import convert_uavscenes, UavscenesOptions
     options = UavscenesOptions(
         **{name: getattr(args, name) for name in (
@@ -210,6 +215,7 @@ def run_uavscenes(args: Namespace) -> None:
 
 def run_forest(args: Namespace) -> None:
     """Convert a sequence of Forest Inspection."""
+    _bound(args)
     from persem_ros.convert.forest.convert import convert_forest
     from persem_ros.convert.forest.layout import ForestOptions
     options = ForestOptions(
@@ -221,6 +227,15 @@ def run_forest(args: Namespace) -> None:
     summary = convert_forest(args.root, args.run_name, args.out, options, _legend(args),
                              storage=args.storage, compress=args.compress, force=args.force)
     print(f'{args.out}: {summary}')
+
+
+def _bound(args: Namespace) -> None:
+    """Set the bound of --max-pixels."""
+    from persem_ros.errors import PersemError
+    from persem_ros.guard import limits
+    if args.max_pixels < 1:
+        raise PersemError(f'--max-pixels {args.max_pixels}: expected 1 or more')
+    limits.use(args.max_pixels)
 
 
 def _legend(args: Namespace) -> Legend | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 import zlib
@@ -10,6 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.errors import PersemError
+from persem_ros.guard.limits import BYTES_A_PIXEL, max_bytes, max_pixels, too_many_pixels
+from persem_ros.guard.pictures import check_parts, JPEG, pixels_of_file
 
 PNG = b'\x89PNG\r\n\x1a\n'
 UNITS = {'m': 1.0, 'cm': 100.0, 'mm': 1000.0}
@@ -33,16 +36,65 @@ def read_array(path: Path) -> NDArray[Any]:
         raise PersemError(f'{path}: cannot be read: {error.strerror}') from error
     try:
         if path.suffix == '.npy':
-            array = np.load(path, allow_pickle=False)
+            array = read_npy(path)
         elif _is_broken_png(data):      # the decoder would say so on standard error, too
             array = None
         else:
+            _check_size(memoryview(data), path)
             array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except (cv2.error, ValueError, EOFError):
         array = None
     if array is None or array.size == 0:
         raise PersemError(f'{path}: not an image that can be decoded ({len(data)} bytes)')
     return np.squeeze(array, 2) if array.ndim == 3 and array.shape[2] == 1 else array
+
+
+def read_npy(path: Path) -> NDArray[Any]:
+    """
+    Return the array of a .npy file that has room for it.
+
+    Raises
+    ------
+    ValueError, EOFError
+        Where that is not what it is.
+    PersemError
+        For an array that is larger than --max-pixels allows.
+
+    """
+    with open(path, 'rb') as file:
+        version = np.lib.format.read_magic(file)
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else \
+            np.lib.format.read_array_header_2_0
+        try:
+            shape, _, dtype = read(file)
+        except Exception as error:      # its header is Python, taken apart by Python's tokenizer
+            raise ValueError(str(error)) from None
+        size = dtype.itemsize * math.prod(shape)
+        if size > max_bytes():
+            raise PersemError(
+                f'{path}: an array of {" x ".join(map(str, shape))} values is larger than '
+                f'--max-pixels allows ({BYTES_A_PIXEL} bytes for each of {max_pixels()}); if it '
+                f'is meant to be, --max-pixels {-(-size // BYTES_A_PIXEL)}')
+        if size > path.stat().st_size - file.tell():
+            raise EOFError('fewer values than its shape says')
+    return np.load(path, allow_pickle=False)
+
+
+def _check_size(data: memoryview, path: Path) -> None:
+    """Refuse (PersemError) an image of another kind, or one that unpacks to too much."""
+    if not len(data):
+        raise EOFError('an empty file')
+    try:
+        width, height = pixels_of_file(data)
+        if data[:8] == PNG or data[:2] == JPEG:
+            check_parts(data)
+    except ValueError as error:
+        raise PersemError(f'{path}: not an image that can be decoded: '
+                          f'{error.args[-1]}') from None
+    if too_many_pixels(width, height):
+        raise PersemError(
+            f'{path}: an image of {width} x {height} pixels is larger than --max-pixels allows '
+            f'({max_pixels()}); if it is meant to be, --max-pixels {width * height}')
 
 
 def _is_broken_png(data: bytes) -> bool:

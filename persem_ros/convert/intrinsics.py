@@ -106,7 +106,7 @@ def _ros_calibration(path: Path) -> Intrinsics | None:
         D = np.array(content['distortion_coefficients']['data'], float).reshape(-1)
         size = int(content['image_width']), int(content['image_height'])
         model = str(content['distortion_model'])
-    except (PersemError, KeyError, TypeError, ValueError):
+    except (PersemError, KeyError, TypeError, ValueError, OverflowError):
         raise PersemError(f'{path}: expected a ROS camera calibration with image_width, '
                           'image_height, camera_matrix, distortion_model and '
                           'distortion_coefficients') from None

@@ -19,6 +19,7 @@ from persem_ros.errors import PersemError
 
 LOG = logging.getLogger(__name__)
 X_FIRST, W_FIRST = 'x y z w', 'w x y z'
+DIGITS = 19         # of nanoseconds since 1970
 EUROC = 17          # columns: stamp, position, quaternion, velocity and two biases
 Row = tuple[int, list[str]]
 Matrices = list[NDArray[np.float64] | None]
@@ -214,6 +215,9 @@ def _stamped(path: Path, tags: list[str], matrices: Matrices, nanoseconds: bool 
 def _stamp(tag: str, nanoseconds: bool, path: Path) -> int:
     """Return a stamp in ns: digits as in file names, else seconds."""
     if nanoseconds and tag.isdecimal():
+        if len(tag) > DIGITS:
+            raise PersemError(f'{path}: expected nanoseconds of up to {DIGITS} digits, got '
+                              f'{tag[:60]!r}')
         return int(tag)
     named = stamp_of_name(tag) if tag.isdecimal() else None
     return seconds_to_ns(tag, str(path)) if named is None else int(named)

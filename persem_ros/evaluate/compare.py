@@ -53,7 +53,7 @@ def load(folder: Path | str) -> dict[str, Any] | None:
                         (folder / 'metrics.json').read_text('utf-8'))},
                     'settings': {name: value for name, (value, _) in values.items()},
                     'versions': timing['versions'], 'taxonomy': 'all ids', 'blocks': {}}
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise PersemError(f'{folder}: damaged: {" ".join(str(error).split())}') from None
     raise PersemError(f'{folder} holds no result: expected evaluation.json of persem evaluate or '
                       'metrics.json of persem replay')

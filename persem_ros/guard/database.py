@@ -18,6 +18,7 @@ LONGEST = 1 << 30           # bytes of one value: SQLite's own default limit
 STEPS = 20_000_000         # steps of SQLite's machine that every file may take
 STEPS_A_BYTE = 50           # and that each of its bytes adds: rows of 8 bytes take 20 to 40
 PER_CALL = 100_000          # steps between two looks at what is left
+SUPER = bytes.fromhex('d9d505f920a163d7')   # ends a journal that names a file to be deleted
 LIMIT_LENGTH = 0            # sqlite3.SQLITE_LIMIT_LENGTH, which Python 3.10 does not name
 
 
@@ -91,6 +92,40 @@ def check_tables(db: sqlite3.Connection, tables: Mapping[str, Sequence[str]]) ->
     for name, columns in tables.items():
         if columns_of(db, name) != list(columns):
             raise Unsafe(f'table {name} has other columns')
+
+
+def check_declared(db: sqlite3.Connection, statements: str) -> None:
+    """
+    Refuse (Unsafe) a database that is declared in any other way than by some statements.
+
+    Who writes obeys more than who reads: triggers, defaults, checks and indices of expressions
+    are programs that run with every row.
+
+    """
+    expected = {' '.join(statement.split()) for statement in statements.split(';')}
+    found = {' '.join(str(sql).split()) for sql, in db.execute(
+        'SELECT sql FROM sqlite_master WHERE sql IS NOT NULL')}
+    if found | {''} != expected | {''}:
+        raise Unsafe('tables that are declared otherwise than persem_ros does')
+
+
+def check_beside(path: Path) -> None:
+    """Refuse (Unsafe) what SQLite would follow out of the folder when it writes a database."""
+    for suffix in ('-wal', '-shm', '-journal'):
+        beside = Path(f'{path}{suffix}')
+        if beside.is_symlink():
+            raise Unsafe(f'{beside.name} is a link')
+    if (journal := journal_of(path)) is not None:
+        with open(journal, 'rb') as file:
+            file.seek(max(0, journal.stat().st_size - len(SUPER)))
+            if file.read() == SUPER:
+                raise Unsafe(f'{journal.name} names other files')
+
+
+def journal_of(path: Path) -> Path | None:
+    """Return the rollback journal beside a database, None where there is none with content."""
+    journal = Path(f'{path}-journal')
+    return journal if journal.is_file() and journal.stat().st_size else None
 
 
 def columns_of(db: sqlite3.Connection, table: str) -> list[str]:

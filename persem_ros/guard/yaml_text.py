@@ -26,12 +26,15 @@ class Bounds(NamedTuple):
     depth: int = 32
     scalar: int = 10_000
     aliases: bool = False       # allowed, and counted as what they stand for
+    remedy: str = 'write less'
 
 
-SETTINGS = Bounds(1 << 20, 20_000)
-LEGEND = Bounds(1 << 26, 2_000_000)         # all 65 536 classes, with long names
+SETTINGS = Bounds(1 << 20, 20_000, remedy='leave out what has its default')
+# All 65 536 classes, with long names.
+LEGEND = Bounds(1 << 26, 2_000_000, remedy='no legend needs more')
 # metadata.yaml: QoS texts are long, and writers name equal ones once.
-RECORDING = Bounds(1 << 24, 1_000_000, scalar=1 << 20, aliases=True)
+RECORDING = Bounds(1 << 24, 1_000_000, scalar=1 << 20, aliases=True,
+                   remedy='remove it: the files are read without')
 
 
 def check(text: str, bounds: Bounds, parser: Any = PARSER) -> None:
@@ -47,7 +50,7 @@ def check(text: str, bounds: Bounds, parser: Any = PARSER) -> None:
 
     """
     if len(text) > bounds.size:
-        raise ValueError(f'longer than {bounds.size} characters')
+        raise ValueError(f'longer than {bounds.size} characters; {bounds.remedy}')
     nodes = 0
     begun: list[tuple[str | None, int]] = []    # collections that are open: anchor, nodes before
     sizes: dict[str, int] = {}                  # nodes of what has an anchor
@@ -63,14 +66,16 @@ def check(text: str, bounds: Bounds, parser: Any = PARSER) -> None:
             if event.anchor is not None:
                 sizes[event.anchor] = 1
         if nodes > bounds.nodes:
-            raise ValueError(f'more than {bounds.nodes} values')
+            raise ValueError(f'more than {bounds.nodes} values; {bounds.remedy}')
         if isinstance(event, yaml.ScalarEvent) and len(event.value) > bounds.scalar:
-            raise ValueError(f'a value of more than {bounds.scalar} characters in line {line}')
+            raise ValueError(f'a value of more than {bounds.scalar} characters in line {line}; '
+                             f'{bounds.remedy}')
         if isinstance(event, yaml.CollectionStartEvent):
             sizes.pop(event.anchor, None)       # none of itself in it
             begun.append((event.anchor, nodes - 1))
             if len(begun) > bounds.depth:
-                raise ValueError(f'more than {bounds.depth} levels in line {line}')
+                raise ValueError(f'more than {bounds.depth} levels in line {line}; '
+                                 f'{bounds.remedy}')
         elif isinstance(event, yaml.CollectionEndEvent):
             anchor, before = begun.pop()
             if anchor is not None:
@@ -95,7 +100,7 @@ def _events(text: str, bounds: Bounds, parser: Any) -> Iterator[Any]:
         yield from yaml.parse(text, Loader=parser)
     except yaml.YAMLError as error:
         if 'maximum nesting' in str(error):
-            raise ValueError(f'more than {bounds.depth} levels') from None
+            raise ValueError(f'more than {bounds.depth} levels; {bounds.remedy}') from None
         raise
 
 

@@ -147,23 +147,23 @@ class Names:
         if first and self._given and fits and not self._strict:     # only called otherwise
             return None, frozenset()
         used, learned = set(ours.values()), []
+        free = (i for i in range(MAX_ID + 1) if i not in used and i not in self._reserved)
         ids = {i: i for i in self._ignored if 0 <= i <= UNKNOWN}
         for item in theirs.classes:
             if item.id in self._ignored:
                 continue
             if item.name not in ours:
-                ours[item.name] = self._free(used)
-                used.add(ours[item.name])
-                learned.append(_numbered(item, ours[item.name]))
+                if (number := next(free, None)) is None:    # 65 535 names are all that there are
+                    ids[item.id] = IGNORED
+                    continue
+                ours[item.name] = number
+                used.add(number)
+                learned.append(_numbered(item, number))
             ids[item.id] = ours[item.name]
         if learned:
             self.legend = Legend(self.legend.title, (*self.legend.classes, *learned))
         same = all(i == n for i, n in ids.items()) and used <= set(ids)
         return (None if same else ids), frozenset(used)
-
-    def _free(self, used: set[int]) -> int:
-        """Return the lowest id for a new name."""
-        return next(i for i in range(MAX_ID + 1) if i not in used and i not in self._reserved)
 
 
 def renamed(labels: NDArray[np.int32], new: NDArray[np.int32] | None) -> NDArray[np.int32]:

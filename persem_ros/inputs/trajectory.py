@@ -19,6 +19,7 @@ from persem_ros.inputs.decode.messages import BadMessage, unit_quaternion
 PATH = 'nav_msgs/msg/Path'
 LINE = 'stamp x y z qx qy qz qw'
 LATEST = 1 << 62        # ns, beyond which no stamp can lie
+FARTHEST = 1e12         # m, beyond which no pose can
 
 
 def from_tum(path: str | Path) -> Trajectory:
@@ -93,6 +94,9 @@ def pose_of_numbers(numbers: list[float], where: str) -> NDArray[np.float64]:
     if not all(map(math.isfinite, numbers)):
         raise PersemError(f'{where}: a pose that is not finite '
                           f'({" ".join(f"{x:g}" for x in numbers)})')
+    if max(map(abs, numbers[:3])) > FARTHEST:
+        raise PersemError(f'{where}: a position {max(map(abs, numbers[:3])):g} m away, expected '
+                          f'up to {FARTHEST:g} m')
     try:
         x, y, z, *q = numbers
         return transform([x, y, z], unit_quaternion((q[0], q[1], q[2], q[3])))

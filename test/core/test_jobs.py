@@ -1,12 +1,18 @@
 """Refinements beside the mapping thread: what they were handed is what they see."""
 
+from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+import random
 import threading
+import time
 
 from core_worlds import columns_of, core_of, examples, observations, refinements, worlds
 from hypothesis import given, strategies as st
 import numpy as np
+from persem_ros.core.memory.capture import Capture
+from persem_ros.core.memory.dump import load
+from persem_ros.core.memory.evict import keep_near
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine.job import abandon, begin, finish, refine
 from persem_ros.core.refine.snapshot import take
@@ -107,10 +113,56 @@ def test_mapping_and_refinement_at_once(method, max_history):
             a.tobytes() for a in straight.history(voxel)]
 
 
-def compute_until(stop, job):
+@pytest.mark.parametrize('max_history', [0, 4])
+@pytest.mark.parametrize('seed', range(3))
+def test_evictions_saves_and_jobs_that_are_given_up_come_at_any_time(seed, max_history):
+    rng, seen = random.Random(seed), walk(60, seed)
+    settings = replace(Refine(), method=rng.choice(['persem', 'context_history', 'consensus']))
+    memory, twin = (VoxelMemory(0.5, max_history=max_history) for _ in range(2))
+    job = capture = None
+    done, saved = Counter(), []
+    with ThreadPoolExecutor(2) as pool:
+        for t, one in enumerate(seen):
+            if job is None and rng.random() < 0.3:
+                job, stop = begin(memory, settings, full=rng.random() < 0.5), threading.Event()
+                computed = pool.submit(compute_until, stop, job, rng.random() * 0.003)
+            elif job is not None and rng.random() < 0.3:
+                stop.set()
+                act = rng.choice([abandon, lambda job: finish(job, *computed.result())])
+                done[act is abandon] += computed.result() is not None
+                act(job)
+                job = None
+            if capture is None and rng.random() < 0.2:
+                capture = Capture(memory)
+            elif capture is not None and capture.step(rng.choice([100, 1000, np.inf])):
+                saved.append((columns_of(memory), pool.submit(capture.dump)))
+                capture = None
+            position, radius = (t / 2, 6.0, 0.0), rng.choice([5.0, 7.0, 9.0])
+            if keep_near(memory, position, radius):
+                done['gone'] += 1
+                assert keep_near(twin, position, radius)
+            memory.add(one)
+            twin.add(one)
+            time.sleep(rng.random() * 0.002)
+        if job is not None:
+            stop.set()
+            finish(job, *computed.result())
+        if capture is not None:
+            capture.close()
+        for columns, dumped in saved:
+            assert columns_of(load(dumped.result())) == columns
+    assert done[True] and done[False] and done['gone'] > 3 and len(saved) > 2, done
+    assert not memory.read_beside
+    for one in (memory, twin):
+        refine(one, settings)
+    assert columns_of(memory) == columns_of(twin)
+
+
+def compute_until(stop, job, pause=0.0):
     """Return what a job computes, again and again until told to stop, always the same."""
     result = job.compute()
     while not stop.is_set():
+        time.sleep(pause)
         again, anew, *_ = job.compute()
         assert (again == result[0]).all() and (anew == result[1]).all()
     return result

@@ -2,6 +2,8 @@
 
 from contextlib import closing, suppress
 import sqlite3
+import struct
+import zlib
 
 from tampering import FLOATS, NUMBERS, TEXTS
 
@@ -39,6 +41,43 @@ def damaged(rng, data, same=False):
         else:
             data[at:at] = str(rng.choice(NUMBERS + FLOATS + TEXTS)).encode()
     return bytes(data)
+
+
+def damaged_png(rng, data):
+    """Return a PNG of which a chunk is damaged, its length and checksum right."""
+    chunks, at = [], 8
+    while at < len(data):
+        size = int.from_bytes(data[at:at + 4], 'big')
+        chunks.append([data[at + 4:at + 8], data[at + 8:at + 8 + size]])
+        at += 12 + size
+    chosen = rng.choice(chunks)
+    if chosen[0] == b'IHDR' and rng.random() < 0.8:
+        width, height = rng.choice(((1, 1), (8, 6), (60_000, 1), (1, 1 << 20), (9000, 9000),
+                                    (0, 6)))
+        chosen[1] = struct.pack('>IIBBBBB', width, height, rng.choice((1, 2, 4, 8, 16, 3)),
+                                rng.choice((0, 2, 3, 4, 6, 1)), 0, 0, rng.choice((0, 0, 1, 2)))
+    elif chosen[0] == b'IDAT' and rng.random() < 0.7:
+        chosen[1] = zlib.compress(damaged(rng, zlib.decompress(chosen[1])))
+    elif rng.random() < 0.3:
+        chunks.insert(rng.randrange(len(chunks)), [rng.choice(
+            (b'zTXt', b'iCCP', b'PLTE', b'tRNS', b'eXIf', b'acTL', b'fcTL', b'IDAT')),
+            rng.randbytes(rng.randrange(60))])
+    else:
+        chosen[1] = damaged(rng, chosen[1])
+    return data[:8] + b''.join(
+        struct.pack('>I', len(content)) + name + content
+        + struct.pack('>I', zlib.crc32(name + content)) for name, content in chunks)
+
+
+def damaged_picture(rng, data):
+    """Return a picture or array file that is damaged, some in ways that only its parts show."""
+    if data[:4] == b'\x89PNG' and rng.random() < 0.7:
+        return damaged_png(rng, data)
+    if data[:1] == b'\x93' and rng.random() < 0.5:      # .npy: its header is a text
+        size = int.from_bytes(data[8:10], 'little')
+        head = damaged(rng, data[10:10 + size])
+        return data[:8] + struct.pack('<H', len(head) & 0xffff) + head + data[10 + size:]
+    return damaged(rng, data, same=rng.random() < 0.7)
 
 
 def damaged_text(rng, text):

@@ -179,6 +179,14 @@ FINDINGS = {
     'more observations than 32 bits hold': ('map', _column('observations', '<u4', 2 ** 32 - 2),
                                             'observations'),
     'a table of frames that never ends': ('map', _sql(ENDLESS), 'no plain table'),
+    'nanoseconds of 6000 digits': (
+        'track', lambda: ('a.csv', '#timestamp [ns],x,y,z,q_w,q_x,q_y,q_z\n' + '9' * 6000
+                          + ',0,0,0,1,0,0,0\n'), '19 digits'),
+    'a fix of 30 digits': ('track', lambda: ('fixes.csv', '9' * 30 + ',48,11,500\n'),
+                           'expected a line a fix'),
+    'an array whose header is no Python': (
+        'picture', lambda: ('a.npy', b'\x93NUMPY\1\0\6\0{(\n\n\n\n' + bytes(64)), 'not an image'),
+    'a picture of one number': ('picture', lambda: ('a.pgm', b'P5 1'), 'not an image'),
     'a text for a size': ('map', _sql("UPDATE about SET value = 'x' WHERE name = 'voxel_size'"),
                           'voxel_size'),
     'no size': ('map', _sql("DELETE FROM about WHERE name = 'voxel_size'"), 'voxel_size'),

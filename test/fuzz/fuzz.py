@@ -31,6 +31,7 @@ MOST_TIME = 60.0        # s of processor time after which one ends a worker
 PATIENCE = 900.0        # s after which a worker that does nothing any more is killed
 MOST = 2 << 30          # bytes of a worker
 TURN = 120.0            # s for a worker
+SHOWN = 3               # faults of a kind
 
 
 def main():
@@ -51,21 +52,39 @@ def main():
     try:
         import harm
         trial = harm.Trial(folder)
-        trial.warm_up()
+        print('compiling and loading …', flush=True)
+        with silenced():
+            trial.warm_up()
         if args.one:
             print(*trial.run(args.one[0], int(args.one[1])))
             return 0
         print(f'seed {args.seed}', flush=True)
-        return Fuzz(trial, args).run()
+        fuzz = Fuzz(trial, args)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, fuzz.stop)
+        return fuzz.run()
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def silenced():
+    """Let nothing be heard of what decoders write on standard error."""
+    kept, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(null)
 
 
 class Worker:
     """A process that tries inputs from *first* on, and what is known of it."""
 
     def __init__(self, trial, first, seconds):
-        self.first, self.began = first, time.monotonic()
+        self.first, self.asked = first, 0.0
         self.file = trial.folder / f'worker-{first}'
         self.file.touch()
         self.pid = os.fork()
@@ -80,7 +99,10 @@ class Worker:
     def _work(self, trial, seconds):
         """Try inputs; every line tells of one that begins, of a fault, or of all."""
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        parent, ended = os.getppid(), []
+        signal.signal(signal.SIGINT, signal.SIG_IGN)    # of a terminal; the parent asks by SIGTERM
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, lambda *_: ended.append(True))
         null = os.open(os.devnull, os.O_WRONLY)     # the decoders' own complaints
         for handle in (1, 2):
             os.dup2(null, handle)
@@ -92,7 +114,7 @@ class Worker:
         number, end, counts, seconds_of, longest = self.first, time.monotonic() + seconds, \
             Counter(), Counter(), (0.0, '')
         faults = []
-        while time.monotonic() < end:
+        while time.monotonic() < end and not ended and os.getppid() == parent:
             kind = trial.kind_of(number)
             os.pwrite(file, f'{kind} {number}\n{"":40}'.encode(), 0)
             begin = time.process_time()     # other processes do not make an input slower
@@ -109,6 +131,12 @@ class Worker:
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
         os.pwrite(file, json.dumps([counts, seconds_of, longest, peak, faults]).encode(), 0)
         return 0
+
+    def end(self):
+        """Ask the worker to tell what it has when its input is done."""
+        if not self.asked:
+            self.asked = time.monotonic()
+            os.kill(self.pid, signal.SIGTERM)
 
     def poll(self):
         """Return None while it works, else its status; kill it where it takes too much."""
@@ -136,21 +164,32 @@ class Fuzz:
 
     def __init__(self, trial, args):
         self.trial, self.args = trial, args
-        self.counts, self.seconds = Counter(), Counter()
+        self.counts, self.seconds, self.shown = Counter(), Counter(), Counter()
         self.deaths = self.faults = self.peak = 0
         self.longest = (0.0, 'none')
-        self.began = time.monotonic()
+        self.began, self.stopped = time.monotonic(), False
+
+    def stop(self, *_):
+        """Begin no more; what was found so far is told."""
+        self.stopped = True
 
     def run(self):
-        """Keep workers at work until the time is over; return 1 for a death or a fault."""
+        """
+        Keep workers at work until the time is over, or stop(); return 1 for a death or a fault.
+
+        The table is printed however it ends.
+
+        """
         end, first, workers = time.monotonic() + 60 * self.args.minutes, self.args.seed, []
         said = time.monotonic()
-        while (left := end - time.monotonic()) > 0 or workers:
-            while left > 1 and len(workers) < self.args.workers:
+        while (left := end - time.monotonic()) > 0 and not self.stopped or workers:
+            while left > 1 and not self.stopped and len(workers) < self.args.workers:
                 workers.append(Worker(self.trial, first, min(TURN, left)))
                 first += 10_000_000
             time.sleep(0.2)
             for worker in list(workers):
+                if self.stopped:
+                    worker.end()
                 status = worker.poll()
                 if status is not None:
                     workers.remove(worker)
@@ -158,12 +197,21 @@ class Fuzz:
             if time.monotonic() - said > 300:
                 said = time.monotonic()
                 print(self.line(), flush=True)
-        for kind in sorted(self.seconds):
-            refused, accepted = (self.counts[f'{kind} {word}'] for word in ('refused', 'accepted'))
-            print(f'{kind:10} {refused + accepted:8} inputs, {accepted:8} of them accepted, '
-                  f'{1000 * self.seconds[kind] / max(1, refused + accepted):7.2f} ms each')
+        print(self.table())
         print(self.line())
         return int(bool(self.deaths or self.faults or self.peak > MOST))
+
+    def table(self):
+        """Return the figures by kind."""
+        lines = [f'{"kind":12}{"inputs":>10}{"refused":>10}{"accepted":>10}{"faults":>8}'
+                 f'{"ms each":>9}']
+        for kind in sorted(self.seconds):
+            refused, accepted, faults = (self.counts[f'{kind} {word}']
+                                         for word in ('refused', 'accepted', 'fault'))
+            n = refused + accepted + faults
+            lines.append(f'{kind:12}{n:>10}{refused:>10}{accepted:>10}{faults:>8}'
+                         f'{1000 * self.seconds[kind] / max(1, n):>9.2f}')
+        return '\n'.join(lines)
 
     def line(self):
         """Return the figures as one line."""
@@ -186,7 +234,10 @@ class Fuzz:
         self.peak = max(self.peak, peak)
         self.faults += len(faults)
         for fault in faults:
-            print(f'fault {fault}', flush=True)
+            what = fault.partition(' s ')[2][:60]
+            self.shown[what] += 1
+            if self.shown[what] <= SHOWN:       # enough of what is one and the same defect
+                print(f'fault {fault}', flush=True)
 
 
 if __name__ == '__main__':

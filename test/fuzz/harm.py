@@ -6,27 +6,38 @@ import random
 import shutil
 import sqlite3
 
-from damage import damage_rows, damaged, damaged_text
+from damage import damage_rows, damaged, damaged_picture, damaged_text
 from persem_ros import cli
+from persem_ros.convert import images
+from persem_ros.convert.trajectories import poses_from_trajectory
+from persem_ros.core.memory.dump import load
 from persem_ros.core.refine.job import refine
 from persem_ros.errors import PersemError
 from persem_ros.guard.words import sentence
 from persem_ros.inputs.decode.serialized import Decoder
+from persem_ros.inputs.recording.fixes import read_fixes
 from persem_ros.inputs.recording.recording import Recording
 from persem_ros.inputs.recording.source import Source
+from persem_ros.inputs.trajectory import from_tum
+from persem_ros.outputs.export.georeference import enter, fitted, Fixes
+from persem_ros.outputs.export.place import Place
+from persem_ros.outputs.export.source import MapSource
 from persem_ros.outputs.map import store
+from persem_ros.outputs.map.merge import merge, without
+from persem_ros.outputs.map.move import move_session, session_of
 from persem_ros.replay import compile_kernels
 from persem_ros.settings import config_file
 from persem_ros.settings.config import Config, Refine, settings
 from persem_ros.settings.legend import Legend, load_legend
 from persem_ros.settings.parameter_file import scalar
 import samples
-from tampering import exercise, renew, tamper
+from tampering import exercise, exercise_living, export, renew, tamper
 
 # Most of the numbers go to what costs least; of one map in forty and one recording in sixty
 # everything is tried that persem does with it.
-SHARES = {'cdr': 64, 'legend': 17, 'settings': 12, 'map': 4, 'recording': 3}
-DEEP = {'map': 40, 'recording': 60, 'settings': 20}
+SHARES = {'cdr': 56, 'legend': 14, 'settings': 11, 'picture': 5, 'track': 5, 'map': 4,
+          'recording': 3, 'living': 2}
+DEEP = {'map': 40, 'recording': 60, 'settings': 20, 'living': 20}
 REFUSED, ACCEPTED, FAULT = 'refused', 'accepted', 'fault'
 LONGEST = 1200          # characters of a refusal
 
@@ -51,6 +62,9 @@ class Trial:
         self._messages = samples.serialized()
         self.whole = samples.small_map(folder / 'whole.persem')
         self.recordings = samples.small_recordings(folder)
+        self.pictures = samples.pictures()
+        self.tracks = samples.tracks()
+        self.source = MapSource(self.whole)
 
     def warm_up(self):
         """Import, compile and load everything, so that it is no part of what an input takes."""
@@ -119,6 +133,70 @@ class Trial:
         if inside and (database := next(bag.glob('*.db3'), None)):
             damage_rows(rng, database)
         self.use_recording(bag, deep, frames=rng.random() < 0.2)
+
+    def _picture(self, rng, deep):
+        name, data = rng.choice(self.pictures)
+        path = self.folder / name
+        path.write_bytes(damaged_picture(rng, data))
+        self.use_picture(path)
+
+    def _track(self, rng, deep):
+        name, text = rng.choice(self.tracks)
+        path = self.folder / name
+        path.write_text(damaged_text(rng, text) if rng.random() < 0.5 else
+                        damaged(rng, text.encode()).decode('utf-8', 'replace'))
+        self.use_track(path)
+
+    def _living(self, rng, deep):
+        path = self.folder / 'tampered.persem'
+        tamper(self.whole, path, rng.randrange(1 << 60))
+        self.use_living(path, rng.choice(('attach', 'merge', 'forget', 'place', 'export')), deep)
+
+    def use_picture(self, path):
+        """Read a file as labels, as depth and as colours, as persem convert does."""
+        refusals = []
+        for read in (images.read_labels, images.read_depth, images.read_color):
+            try:
+                read(path)
+            except PersemError as error:
+                refusals.append(error)
+        if len(refusals) == 3:
+            raise refusals[0]
+
+    def use_track(self, path):
+        """Read a file of poses or of satellite fixes."""
+        if path.name.startswith('fixes'):
+            stamps, values = read_fixes(path)
+            fitted(self.source, Fixes(stamps, *values.T))
+        elif path.suffix == '.tum':
+            trajectory, stored = from_tum(path), store.load(self.whole)
+            memory = load(move_session(stored, session_of(stored, trajectory), trajectory))
+            refine(memory, Refine())
+            store.save(self.folder / 'again.persem', memory, self._config)
+            store.load(self.folder / 'again.persem')
+        else:
+            poses = poses_from_trajectory(path, ['0', '1', '2'], True)
+            for stamp in poses.stamps[:3]:
+                poses.at('0', stamp + 1)
+
+    def use_living(self, path, what, deep):
+        """Do with a map file what writes it or reads it block by block."""
+        for suffix in ('-wal', '-shm', '-journal'):
+            path.with_name(path.name + suffix).unlink(missing_ok=True)
+        if what == 'attach':
+            exercise_living(path)
+        elif what == 'merge':
+            done = merge([store.load(self.whole), store.load(path)], by_id=deep)
+            refine(done.memory, Refine())
+        elif what == 'forget':
+            without(store.load(path), 0)
+        elif what == 'place':
+            enter(path, Place('EPSG:32632', 1.0, 2.0, 3.0, 4.0))
+            store.load(path)
+        else:
+            export(path)
+            if deep:
+                quiet(['map', 'export', str(path), '--force', *samples.exports(self.folder)])
 
     def use_cdr(self, kind, data):
         """Deserialize a message and read it in every way in which its type is read."""

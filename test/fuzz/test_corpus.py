@@ -33,12 +33,18 @@ def _use(trial, kind, make):
         trial.use_recording(trial.written(files), deep=False)
     elif kind == 'cdr':
         trial.use_cdr(*make())
+    elif kind in ('track', 'picture'):
+        name, content = make()
+        path = trial.folder / name
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        getattr(trial, f'use_{kind}')(path)
     else:
         getattr(trial, f'use_{kind}')(make())
 
 
 @pytest.mark.parametrize(('kind', 'number'), [
-    ('legend', 60), ('settings', 60), ('cdr', 300), ('map', 20), ('recording', 20)])
+    ('legend', 60), ('settings', 60), ('cdr', 300), ('map', 20), ('recording', 20),
+    ('picture', 60), ('track', 60), ('living', 10)])
 def test_some_inputs_of_each_kind(trial, kind, number):
     outcomes = {n: trial.run(kind, n) for n in range(1, number)}
     assert {n: what for n, what in outcomes.items() if what[0] == harm.FAULT} == {}

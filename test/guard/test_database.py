@@ -4,7 +4,8 @@ from contextlib import closing
 import sqlite3
 
 from persem_ros.guard import database
-from persem_ros.guard.database import check_tables, checked, opened, Unsafe
+from persem_ros.guard.database import (
+    check_beside, check_declared, check_tables, checked, opened, SUPER, Unsafe)
 import pytest
 
 
@@ -49,3 +50,33 @@ def test_values_of_other_types(row):
 def test_more_than_the_file_has_room_for():
     with pytest.raises(Unsafe, match='room'):
         list(checked([(1, bytes(60))] * 2, (int, bytes), 100))
+
+
+@pytest.mark.parametrize('script', [
+    'CREATE TRIGGER g AFTER INSERT ON t BEGIN DELETE FROM t; END',
+    'CREATE INDEX g ON t (hex(zeroblob(100000000)))', 'CREATE TABLE u (a)',
+    'DROP TABLE t; CREATE TABLE t (a, b CHECK (length(hex(zeroblob(9))) > 0))',
+    'DROP TABLE t; CREATE TABLE t (a, b DEFAULT (random()))', 'DROP TABLE t'])
+def test_what_would_run_when_rows_are_written(path, script):
+    with closing(sqlite3.connect(path)) as db:
+        check_declared(db, 'CREATE TABLE t\n   (a, b);\n')
+        db.executescript(script)
+        with pytest.raises(Unsafe, match='declared otherwise'):
+            check_declared(db, 'CREATE TABLE t (a, b);')
+
+
+@pytest.mark.parametrize('suffix', ['-wal', '-shm', '-journal'])
+def test_a_link_beside_a_database_is_not_followed(path, tmp_path, suffix):
+    check_beside(path)
+    path.with_name(path.name + suffix).symlink_to(tmp_path / 'mine')
+    with pytest.raises(Unsafe, match=f'a.db{suffix} is a link'):
+        check_beside(path)
+
+
+def test_a_journal_that_would_have_another_file_deleted(path):
+    journal = path.with_name('a.db-journal')
+    journal.write_bytes(bytes(1000))
+    check_beside(path)
+    journal.write_bytes(bytes(1000) + b'/home/me/mine' + bytes(8) + SUPER)
+    with pytest.raises(Unsafe, match='names other files'):
+        check_beside(path)

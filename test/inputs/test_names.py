@@ -57,7 +57,8 @@ def test_isaac_sims_colours_are_those_of_its_images():
 
 @pytest.mark.parametrize('data', [
     '', 'no', '{"a": {"class": "tree"}}', '{"1": 7}', '{"1"', '[1, 2]', 'classes: {}', '{}',
-    '{"1": {"class": ""}}', '{' * 5000])
+    '{"1": {"class": ""}}', '{' * 5000, '{"' + '9' * 5000 + '": "tree"}',
+    '{"(1, ' + '9' * 5000 + ', 3)": "tree"}', '{"1": ' + '[' * 100_000, '{"1": ' + '9' * 5000])
 def test_what_is_no_table_is_a_bad_message(data):
     with pytest.raises(BadMessage, match='expected vision_msgs/LabelInfo'):
         table(text(data))
@@ -106,3 +107,18 @@ def test_an_unnamed_id_that_is_anothers_is_no_label():
     names.add(table(info(0, tree=1, road=2)))
     names.add(table(info(1, tree=3)))
     assert ids(names, [1, 2, 3, 4], 1) == [-1, -1, 1, 4]
+
+
+def test_names_without_end_leave_the_last_ones_without_a_number():
+    names = Names(Config())
+    for part in range(3):       # each table has names of its own
+        names.add(table(SimpleNamespace(data='{' + ', '.join(
+            f'"{i}": "{part} {i}"' for i in range(30_000)) + '}')))
+    assert len(names.legend.classes) == 65535
+    assert ids(names, [29_999, 0], arrived=1) == [29_999, 0]
+    assert ids(names, [0, 29_999], arrived=3) == [59_999, -1]
+
+
+def test_a_time_that_is_none_is_not_taken_for_one():
+    assert table(text('{"3": "tree", "time_stamp": {"sec": 1e9}}')).stamp is None
+    assert table(text('{"3": "tree", "time_stamp": {"sec": ' + '9' * 30 + '}}')).stamp is None

@@ -1,13 +1,17 @@
 """A map tied to the Earth: fits to fixes, what is entered, what is refused."""
 
 from pathlib import Path
+import subprocess
+import sys
 
 import bags
 import core_worlds as cw
 import numpy as np
 from persem_ros.cli import main
 from persem_ros.core.transforms import transform
+from persem_ros.errors import PersemError
 from persem_ros.inputs.recording.fixes import read_fixes
+from persem_ros.outputs.export import georeference
 from persem_ros.outputs.export.place import Place, place_of
 from persem_ros.outputs.export.source import MapSource
 from persem_ros.outputs.map import store
@@ -17,6 +21,7 @@ from persem_ros.settings.config import Config
 import pytest
 
 pyproj = pytest.importorskip('pyproj', reason='needs the extra gis')
+ROOT = Path(__file__).resolve().parents[2]
 PLACE = Place('EPSG:32632', 691000.0, 5335000.0, 500.0, 30.0)
 
 
@@ -168,3 +173,35 @@ def test_rasters_and_points_lie_where_the_place_says(tmp_path):
         assert raster.crs.to_epsg() == 32632
         values = list(raster.sample(wanted[:, :2].tolist()))
     assert np.ravel(values).tolist() == [1] * 20
+
+
+@pytest.mark.parametrize('row', ['9' * 30 + ',48,11,500', '-1,48,11,500', '1,48,11', 'a,48,11,5',
+                                 '1.5e3,48,11,500', '9' * 5000 + ',1,2,3', '1,nan,11,x'])
+def test_a_table_with_what_is_no_fix(tmp_path, row):
+    path = tmp_path / 'fixes.csv'
+    path.write_text(f'stamp,latitude,longitude,altitude\n{row}\n')
+    with pytest.raises(PersemError, match='line 2: .*expected a line a fix'):
+        read_fixes(path)
+
+
+def test_fixes_that_are_nowhere_are_none(tmp_path, capsys):
+    source = flight(tmp_path / 'm.persem')
+    rows = [(s, a, o, u) for (s, a, o, _), u in zip(fixes_of(source), [1e308, -1e300] * 10)]
+    status, _, errors = run(capsys, source.path, '--fix', table(tmp_path / 'f.csv', rows))
+    assert status == 1 and '0 of 0 fixes lie within the flight' in errors
+
+
+def test_a_kill_while_a_place_is_entered_leaves_a_map_that_is_read(tmp_path):
+    path = flight(tmp_path / 'm.persem').path
+    code = f"""
+import os, sqlite3
+from persem_ros.outputs.export import georeference
+from persem_ros.outputs.export.place import Place
+georeference.fold_log = lambda *_, **__: os._exit(9)
+georeference.enter({str(path)!r}, Place('EPSG:32632', 1.0, 2.0, 3.0, 4.0))
+"""
+    assert subprocess.run([sys.executable, '-c', code], cwd=ROOT).returncode == 9
+    store.load(path)
+    georeference.enter(path, PLACE)
+    assert place_of(MapSource(path)) == PLACE
+    assert [p.name for p in tmp_path.iterdir()] == ['m.persem']

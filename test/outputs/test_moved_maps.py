@@ -99,6 +99,7 @@ LINES = {
                    'line 2: the stamp 1.0+ s is not later than the one before'),
     'twice': (['2 0 0 0 0 0 0 1', '2 0 0 0 0 0 0 1'], 'expected stamps that ascend'),
     'NaN': (['2 nan 0 0 0 0 0 1'], r'line 1: a pose that is not finite \(nan 0'),
+    'far': (['2 0 -1e300 0 0 0 0 1'], 'line 1: a position 1e[+]300 m away'),
     'quaternion': (['2 0 0 0 0 0 0 2'], 'line 1: a pose has the quaternion .* of length 2'),
     'KITTI': (['1 0 0 0 0 1 0 0 0 0 1 0'], "expected 'stamp x y z qx qy qz qw', got 12 words"),
     'text': (['stamp x y z qx qy qz qw'], "expected a stamp in seconds, got 'stamp'"),

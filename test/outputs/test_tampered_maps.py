@@ -9,8 +9,11 @@ import numpy as np
 from persem_ros.core.refine.job import refine
 from persem_ros.errors import PersemError
 from persem_ros.outputs.map import store
+from persem_ros.outputs.map.living import LivingMap
+from persem_ros.outputs.map.lock import WriterLock
+from persem_ros.outputs.map.merge import merge, without
 from persem_ros.settings.config import Config, Refine
-from persem_ros.settings.legend import load_legend
+from persem_ros.settings.legend import Legend, load_legend
 import pytest
 from tampering import exercise, exercise_living, export, renew, tamper
 
@@ -148,3 +151,76 @@ def test_t_does_not_wrap():
     with pytest.raises(PersemError, match='as many frames as it can number'):
         memory.add(cw.observations(3, {(0, 0, 0): (1, 1.0)}))
     assert memory.history((0, 0, 0))[2].tolist() == [0, 2 ** 31 - 1]
+
+
+def programs(path, whole):
+    """Write the whole map with a trigger that fills the disk, as soon as somebody writes."""
+    path.write_bytes(whole.read_bytes())
+    with closing(sqlite3.connect(path)) as db:
+        for table in ('about', 'frames', 'blocks'):
+            for event in ('INSERT', 'UPDATE', 'DELETE'):
+                db.execute(f'CREATE TRIGGER {table}_{event} AFTER {event} ON {table} BEGIN '
+                           'INSERT INTO about SELECT hex(randomblob(9)), zeroblob(1000) FROM '
+                           'about, about, about, about, about, about, about; END')
+        db.commit()
+    return path
+
+
+def test_a_map_whose_tables_are_programs_is_written_anew_before_it_is_written_to(whole, tmp_path):
+    path = programs(tmp_path / 'm.persem', whole)
+    exercise_living(path)
+    with closing(sqlite3.connect(path)) as db:
+        assert list(db.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'")) == []
+    assert store.load(path).saved.session == 1
+
+
+def test_links_beside_a_map_are_not_followed(whole, tmp_path):
+    path, mine = tmp_path / 'm.persem', tmp_path / 'mine'
+    path.write_bytes(whole.read_bytes())
+    for name in ('.m.persem.lock', 'm.persem-wal', 'm.persem-journal'):
+        mine.write_text('mine')
+        (tmp_path / name).symlink_to(mine)
+        with pytest.raises(PersemError):
+            LivingMap(path, Config(), Legend)
+        assert mine.read_text() == 'mine'
+        (tmp_path / name).unlink()
+    WriterLock(path).close()
+
+
+def test_a_journal_that_a_kill_left_is_played_back_before_a_map_goes_on(whole, tmp_path):
+    path = tmp_path / 'm.persem'
+    path.write_bytes(whole.read_bytes())
+    with closing(sqlite3.connect(path, isolation_level=None)) as db:
+        db.executescript('PRAGMA cache_spill = 1; PRAGMA cache_size = 2; BEGIN IMMEDIATE; '
+                         'UPDATE blocks SET voxels = 7, crc = 0')
+        killed = tmp_path / 'killed'
+        killed.mkdir()
+        for name in ('m.persem', 'm.persem-journal'):
+            (killed / name).write_bytes((tmp_path / name).read_bytes())
+        db.execute('ROLLBACK')
+    exercise_living(killed / 'm.persem')
+    assert store.load(killed / 'm.persem').saved.session == 1
+
+
+def test_a_voxel_twice_in_one_frame_is_not_mapped_again(whole, tmp_path):
+    saved = store.load(whole).saved
+    start, frames = saved.history_start, saved.history_frame.copy()
+    voxel = int(np.argmax(np.diff(start)))
+    frames[start[voxel]:start[voxel + 1]] = frames[start[voxel + 1] - 1]
+    path = changed(tmp_path / 'm.persem', whole, history_frame=frames)
+    stored = store.load(path)
+    other = changed(tmp_path / 'other.persem', whole)
+    memory = store.load(other).memory()
+    memory.frames.sessions[0] = dataclasses.replace(
+        memory.frames.sessions[0], uuid='01234567-89ab-cdef-0123-456789abcdef')
+    store.save(other, memory, Config())
+    with pytest.raises(PersemError, match='a voxel twice in one frame'):
+        merge([store.load(other), stored], by_id=True)
+    with pytest.raises(PersemError, match='no other session'):
+        without(stored, 0)
+
+
+def test_origins_too_far_apart_for_one_map(whole, tmp_path):
+    far = store.load(changed(tmp_path / 'm.persem', whole, origin=(1e14, 0.0, 0.0)))
+    with pytest.raises(PersemError, match='cannot be one map'):
+        merge([store.load(whole), far])

@@ -143,3 +143,10 @@ def test_frames_are_where_the_camera_was(tmp_path, storage):
                    for i, f in enumerate(frames))
     with closing(Source(path)) as source:
         assert not source.notes
+
+
+def test_a_time_beyond_all_stamps_is_no_pose():
+    late = px4.VehicleOdometry(2 ** 63, 2 ** 63, 'ned', (0.0,) * 3, (1.0, 0.0, 0.0, 0.0))
+    with pytest.raises(messages.BadMessage, match='more than stamps can be'):
+        messages.pose(late)
+    assert stamp_of(px4.TYPE, b'\0\1\0\0' + b'\xff' * 16) is None

@@ -75,7 +75,7 @@ def metadata_poses(files: dict[str, Path]) -> tuple[Poses, dict[str, NDArray[np.
     for key, path in files.items():
         try:
             content = json.loads(read_text(path))
-        except ValueError:
+        except (ValueError, RecursionError):
             raise PersemError(f'{path}: expected JSON') from None
         R = K = t = None
         for values in _arrays(content):
@@ -105,7 +105,7 @@ def _arrays(content: dict[str, Any] | list[float | list[float]]) -> Iterator[NDA
         try:
             yield np.array(content, float).ravel()
             return
-        except (ValueError, TypeError):
+        except (ValueError, TypeError, OverflowError):
             pass
     for value in values:
         yield from _arrays(value)

@@ -92,7 +92,7 @@ def _assignments(path: Path | str) -> dict[str, dict[str, list[float] | str]] | 
         if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
             try:
                 values[node.targets[0].id] = _literal(node.value)
-            except ValueError:
+            except (ValueError, TypeError, SyntaxError, RecursionError, MemoryError):
                 LOG.debug('%s: %s is not a literal, skipped', path, node.targets[0].id)
     return values
 
@@ -115,7 +115,7 @@ def _calibration(entry: dict[str, list[float]], where: str) -> Calibration | Non
     for name, count in FIELDS.items():
         try:
             numbers[name] = np.array(entry[name], float).reshape(count)
-        except (KeyError, TypeError, ValueError):
+        except (KeyError, TypeError, ValueError, OverflowError):
             raise PersemError(f'{where}: expected {count} numbers in {name!r}') from None
         if not np.isfinite(numbers[name]).all():
             raise PersemError(f'{where}: {name!r} holds values that are not finite')

@@ -164,7 +164,7 @@ def _read_samples(path: Path, run: Run) -> None:
             K = np.array(entry['P3x3'], float).reshape(3, 3)
             D = np.array([entry.get(name, 0.0) for name in ('K1', 'K2', 'P1', 'P2', 'K3')], float)
             size = int(entry['Width']), int(entry['Height'])
-        except (KeyError, TypeError, ValueError, AttributeError):
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
             raise PersemError(f'{path}: entry {i}: expected OriginalImageName, Width, Height, '
                               'P3x3 and T4x4') from None
         stamp = stamp_of_name(key)

@@ -8,6 +8,7 @@ import re
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from persem_ros.convert.images import read_npy
 from persem_ros.errors import PersemError
 
 NAME = re.compile(r'image(\d+\.\d+)_lidar(\d+\.\d+)\.(?:txt|npy)')
@@ -36,7 +37,7 @@ def read_scan(path: Path) -> NDArray[np.float64]:
     """
     try:
         if path.suffix == '.npy':
-            points = np.load(path, allow_pickle=False)
+            points = read_npy(path)
         elif path.stat().st_size == 0:
             return np.empty((0, 3))
         else:

@@ -12,6 +12,9 @@ from persem_ros.core.memory.dump import MemoryDump
 from persem_ros.core.memory.frame_table import Session
 from persem_ros.core.memory.pools import SIDE
 from persem_ros.core.memory.voxel_memory import VoxelMemory
+from persem_ros.errors import PersemError
+
+FARTHEST = 2 ** 31 - 16         # so that a voxel's neighbours are int32, too
 
 
 def whole(saved: MemoryDump) -> bool:
@@ -52,10 +55,14 @@ def observations_of(saved: MemoryDump, session: int, ids: NDArray[np.uint16],
     mounts = table.sessions[session].mounts
     for f in np.flatnonzero(table.session == session):
         rows = order[edges[f]:edges[f + 1]]
+        seen = voxels[owner[rows]]
+        if (np.diff(owner[rows]) == 0).any() or (np.abs(seen) > FARTHEST).any():
+            raise PersemError('a map sees a voxel twice in one frame, or voxels that would lie '
+                              'out of range: it is damaged, restore it from a copy')
         sensor = table.sensors[table.sensor[f]]
         labels = ids[saved.history_label[rows]]
         yield Observations(
-            voxels[owner[rows]].astype(np.int32), labels, saved.history_confidence[rows],
+            seen.astype(np.int32), labels, saved.history_confidence[rows],
             np.empty(0, np.int32), np.unique(labels), int(table.stamp[f]), table.placed[f].copy(),
             sensor, saved.history_offset[rows], mounts.get(sensor))
 

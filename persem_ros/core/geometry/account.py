@@ -47,7 +47,7 @@ def account(memory: Any, taken: Any, number: int, settings: Any,
     places = places_of(memory, taken, settings)
     cells = cells_at(places.ground, constants.cell) if parameters is None else parameters.cells
     groups = groups_in(places, cells, constants.cell)
-    model = model_of(memory.m.blocks, taken, votes, groups, cells, constants)
+    model = model_of(memory.m.blocks, taken, votes, groups, cells, constants, parameters)
     if parameters is None:
         parameters = fit(model, constants.rounds)
     row = int(taken.row[number]) - 1

@@ -7,6 +7,7 @@ from typing import Any, Union
 
 import numpy as np
 from numpy.typing import NDArray
+from persem_ros.core.geometry.dense import MOST as MOST_DENSE
 from persem_ros.core.geometry.entries import entries_of, listed
 from persem_ros.core.geometry.groups import Cells, cells_from, cells_listed, KINDS, SHAPES
 from persem_ros.core.geometry.parameters import correlation, estimate, Parameters, Sums
@@ -105,6 +106,8 @@ def sound(arrays: Arrays) -> bool:
     """Return whether arrays (of a file from anywhere) are parameters that can be gone by."""
     try:
         K = len(arrays['classes'])
+        if 'theta' in arrays and K > MOST_DENSE:
+            return False
         groups = [len(arrays[name]) * KINDS + 1 for name in ('cells', 'shifted_cells')]
         shapes = {'classes': (K,), 'pi': (K,), 'rho': (1,), 'cells': (len(arrays['cells']), 2),
                   'shifted_cells': (len(arrays['shifted_cells']), 2), 'fine': (SHAPES, K)}

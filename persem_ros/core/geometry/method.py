@@ -18,8 +18,11 @@ from persem_ros.core.geometry.sparse import Sparse, SparseParameters, SparseSums
 from persem_ros.core.geometry.upright import up_of, upright
 from persem_ros.core.geometry.votes import take_votes, Votes
 from persem_ros.core.memory.pools import ROWS
+from persem_ros.errors import PersemError
 
 MOST_DENSE = MOST   # classes; more have few candidates a voxel
+MOST_PAIRS = 1 << 26        # of classes that are kept: 2 GB; K * K up to 8192 classes
+MOST_WORK, WORK_A_VOTE = 1e9, 64        # pairs that are counted: seconds, and so many a vote
 GEOMETRY = 4        # source of a label that is not the majority's, spec section 8
 
 
@@ -82,7 +85,7 @@ def relabel(memory: Any, taken: Any, settings: Any,
     places = places_of(memory, taken, settings)
     cells = cells_at(places.ground, constants.cell) if parameters is None else parameters.cells
     model = model_of(memory.m.blocks, taken, votes, groups_in(places, cells, constants.cell),
-                     cells, constants)
+                     cells, constants, parameters)
     if parameters is None:
         parameters = fit(model, constants.rounds)
     sums = model.round(parameters, taken.swept) if taken.swept else None
@@ -92,10 +95,26 @@ def relabel(memory: Any, taken: Any, settings: Any,
     return Labelled(labels, sources, posterior, parameters, sums)
 
 
+def _check_pairs(votes: Votes) -> None:
+    """Refuse (PersemError) votes whose pairs would fill the memory or take for ever."""
+    count, K = votes.count.astype(float), len(votes.classes)
+    pairs = float((count ** 2).sum())
+    if min(float(K) ** 2, pairs) > MOST_PAIRS or pairs > MOST_WORK + WORK_A_VOTE * count.sum():
+        raise PersemError(
+            'the method geometry counts pairs of the classes of each voxel, and this map has '
+            f'{pairs:.2g}, of {K} classes, up to {int(count.max(initial=0))} in a voxel: more '
+            f'than {MOST_PAIRS:.3g} different ones, or {WORK_A_VOTE} a vote; choose another '
+            'refine.method')
+
+
 def model_of(blocks: Any, taken: Any, votes: Votes, groups: Groups, cells: tuple[Cells, Cells],
-             constants: Any) -> Union[Dense, Sparse]:
-    """Return the form of the model that fits the number of classes."""
-    form = Dense if len(votes.classes) <= MOST_DENSE else Sparse
+             constants: Any, parameters: Optional[Union[Parameters, SparseParameters]] = None,
+             ) -> Union[Dense, Sparse]:
+    """Return the form of the model that fits the parameters, or the number of classes."""
+    form = Dense if (isinstance(parameters, Parameters) if parameters is not None else
+                     len(votes.classes) <= MOST_DENSE) else Sparse
+    if form is Sparse:
+        _check_pairs(votes)
     return form(blocks, taken, votes, groups, cells, constants)
 
 

@@ -176,19 +176,26 @@ def replay(
         The constants.
 
     """
-    steps, evidence, before = [], {}, None
+    steps, before, leader = [], None, -1
+    # Arrays, in the order in which classes appear: a voxel may have been seen as all of them.
+    place: dict[int, int] = {}
+    ids, evidence = np.empty(65536, np.int64), np.zeros(65536)
     for c, s, t in zip(labels.tolist(), confidences.tolist(), times.tolist()):
-        surprise = int(before is not None and argmax(evidence) != c)
+        surprise = int(before is not None and leader != c)
         gap = 0 if before is None else t - before
         weight = (s * math.exp(-settings.lambda_volatility * rho[c])
                   * math.exp(-settings.lambda_disagreement * surprise)
                   * math.exp(-settings.lambda_gap * gap))
-        evidence = {known: settings.gamma * e for known, e in evidence.items()}
-        evidence[c] = evidence.get(c, 0.0) + weight
+        evidence[:len(place)] *= settings.gamma
+        at = place.setdefault(c, len(place))
+        ids[at] = c
+        evidence[at] += weight
+        known = evidence[:len(place)]
+        leader = int(ids[:len(place)][known.max() - known <= TIE].min())
         steps.append({'label': c, 'confidence': s, 't': t, 'gap': gap, 'surprise': surprise,
-                      'weight': weight, 'leader': argmax(evidence)})
+                      'weight': weight, 'leader': leader})
         before = t
-    return steps, evidence
+    return steps, dict(zip(place, evidence[:len(place)].tolist()))
 
 
 def argmax(values: dict[int, float], preferred: int | None = None) -> int:

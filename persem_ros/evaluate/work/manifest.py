@@ -8,6 +8,7 @@ import hashlib
 import json
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
+import zipfile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,7 +109,8 @@ def load(
         summary = json.loads((folder / SUMMARY).read_text('utf-8'))
         with np.load(folder / ARRAYS, allow_pickle=False) as arrays:
             return summary, dict(arrays)
-    except (OSError, ValueError, KeyError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError,
+            zipfile.BadZipFile):
         return None
 
 

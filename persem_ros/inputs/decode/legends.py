@@ -8,14 +8,17 @@ from typing import Any, NamedTuple
 
 from persem_ros.errors import PersemError
 from persem_ros.frames import MAX_ID
+from persem_ros.guard.words import short
 from persem_ros.inputs.decode.messages import BadMessage, stamp_ns
 from persem_ros.settings.legend import Legend, LegendClass, made_up_colors
 
 STRING = 'std_msgs/msg/String'
 LABEL_INFO = 'vision_msgs/msg/LabelInfo'
 TYPES = (STRING, LABEL_INFO)
+DIGITS = 10                 # of an id, fewer
 NO_LABEL = ('background', 'unlabelled', 'unlabeled')
-COLOR = re.compile(r'\(?\s*(\d+)\s*,\s*(\d+)\s*,\s*(\d+)\s*(?:,\s*\d+\s*)?\)?$')
+COLOR = re.compile(r'\(?\s*(\d{1,9})\s*,\s*(\d{1,9})\s*,\s*(\d{1,9})\s*(?:,\s*\d{1,9}\s*)?\)?$')
+LONGEST = 1 << 24           # characters of a JSON object; the longest of 65 535 names has a third
 
 
 class Table(NamedTuple):
@@ -46,6 +49,8 @@ def table(msg: Any) -> Table:
         return Table(_legend(names, {}), stamp_ns(msg))
     text = msg.data.strip()
     if text.startswith('{'):
+        if len(text) > LONGEST:
+            raise _unreadable(f'it has {len(text)} characters, more than {LONGEST}')
         try:
             content = json.loads(text)
         except (ValueError, RecursionError) as error:
@@ -66,8 +71,9 @@ def _of_json(content: dict) -> Table:
         if isinstance(value, dict) and not isinstance(name, str):
             name = next((text for text in value.values() if isinstance(text, str)), None)
         number, color = str(key).strip(), COLOR.match(str(key).strip())
-        if not isinstance(name, str) or not (color or number.isdecimal()):
-            raise _unreadable(f'{key!r:.60}: {value!r:.60} is no id with a name')
+        if not isinstance(name, str) or not (
+                color or number.isdecimal() and len(number) < DIGITS):
+            raise _unreadable(f'{short(key)}: {short(value)} is no id with a name')
         at = len(names) if color else int(number)
         names[at] = name
         if color:
@@ -75,7 +81,7 @@ def _of_json(content: dict) -> Table:
     stamp = None
     if isinstance(moment, dict):
         parts = [moment.get('sec', 0), moment.get('nanosec', 0)]
-        if all(type(part) is int for part in parts):
+        if all(type(part) is int and 0 <= part < 1 << 32 for part in parts):
             stamp = parts[0] * 10**9 + parts[1]
     return Table(_legend(names, colors), stamp)
 

@@ -14,6 +14,7 @@ TYPE = 'px4_msgs/msg/VehicleOdometry'
 BODY = 'base_link'          # what REP 105 calls what these poses place
 HEAD = 28 + 24              # bytes up to the end of q, encapsulation included
 LONG = 200                  # bytes: messages before PX4 1.14 carry two covariance matrices
+LATEST = 2**31 * 10**9      # ns: a header's seconds are int32
 SAME = 10**6                # µs that the sample is older than the message, at most
 # Frames of the position by their number: up to 1.13 and since.
 BEFORE, SINCE = {0: 'ned', 1: 'frd'}, {1: 'ned', 2: 'frd'}
@@ -36,7 +37,8 @@ def stamp_of(head: bytes) -> int | None:
     """Return the stamp in the first bytes of a serialized message, ns; None where it ends."""
     if len(head) < 20:
         return None
-    return _stamp(*struct.unpack_from(f'{"<" if head[1] & 1 else ">"}QQ', head, 4))
+    stamp = _stamp(*struct.unpack_from(f'{"<" if head[1] & 1 else ">"}QQ', head, 4))
+    return stamp if stamp < LATEST else None
 
 
 def decoded(data: bytes) -> VehicleOdometry:
@@ -86,10 +88,13 @@ def pose(msg: VehicleOdometry) -> tuple[int, NDArray[np.float64], str, str]:
     if not np.isfinite(xyz).all() or not abs(norm - 1) < 1e-2:
         raise ValueError('no estimate', f'a {TYPE} has the position {xyz.tolist()} and the '
                          f'quaternion {[w, x, y, z]}: the estimator has none, yet')
+    stamp = _stamp(msg.timestamp, msg.timestamp_sample)
+    if stamp >= LATEST:
+        raise ValueError('no time', f'a {TYPE} is of {msg.timestamp} µs, more than stamps can be')
     T = transform(xyz, np.array([x, y, z, w]) / norm)
     T[:3] = WORLDS[msg.frame] @ T[:3]
     T[:3, :3] = T[:3, :3] @ FLU
-    return _stamp(msg.timestamp, msg.timestamp_sample), T, '', BODY
+    return stamp, T, '', BODY
 
 
 def _stamp(now: int, sample: int) -> int:

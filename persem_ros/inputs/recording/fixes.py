@@ -12,6 +12,7 @@ from persem_ros.inputs.recording.source import Source
 
 NAVSATFIX = 'sensor_msgs/msg/NavSatFix'
 NO_FIX = -1                 # NavSatStatus.STATUS_NO_FIX
+LATEST = 1 << 31            # s since 1970: a header's seconds are int32
 COLUMNS = 'stamp,latitude,longitude,altitude'
 Table = tuple[NDArray[np.int64], NDArray[np.float64]]
 EXPECTED = (f'expected a line a fix with the columns {COLUMNS}: seconds, degrees (WGS 84), metres '
@@ -79,7 +80,7 @@ def _table(path: Path) -> Table:
             continue
         try:
             stamp, rest = _nanoseconds(fields[0]), tuple(map(float, fields[1:4]))
-            if len(rest) != 3:
+            if len(rest) != 3 or not 0 <= stamp < LATEST * 10 ** 9:
                 raise ValueError
         except (ValueError, IndexError):
             raise PersemError(f'{path}, line {number}: {line[:60]!r}; {EXPECTED}') from None

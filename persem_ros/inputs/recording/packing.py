@@ -10,7 +10,8 @@ from rosbags.rosbag2.storage_mcap import DECOMPRESSORS, zstd
 
 ZSTD = b'\x28\xb5\x2f\xfd'
 KINDS = frozenset(DECOMPRESSORS)    # '' among them: stored as it is
-PIECE = 1 << 20         # bytes that are decompressed at once
+PIECE = 1 << 20         # bytes of a file that are decompressed at once
+PART = 1 << 22          # and of a message or chunk: most are less
 SMALL = 1 << 30         # bytes that any file may unpack to
 RATIO = 200             # and how many times its size a larger one may
 SUFFIXES = ('.zstd', '.zst')        # of files that are compressed as a whole
@@ -31,10 +32,8 @@ def unpacked(kind: str, data: bytes, size: int) -> bytes:
         raise TooLarge(sentence)
     if kind == '':
         return data
-    content = _bounded(kind, data, size + 1)
-    if len(content) > size:
-        raise TooLarge(f'a chunk unpacks to more than the {size} bytes that it speaks of')
-    return content
+    return _bounded(kind, data, size,
+                    f'a chunk unpacks to more than the {size} bytes that it speaks of')
 
 
 def message(data: bytes) -> bytes:
@@ -47,22 +46,24 @@ def message(data: bytes) -> bytes:
     """
     if data[:4] != ZSTD:
         return data
-    content = _bounded('zstd', data, max_bytes() + 1)
-    if sentence := too_many_bytes('a message', len(content)):
-        raise TooLarge(sentence)
-    return content
+    return _bounded('zstd', data, max_bytes(), too_many_bytes('a message', max_bytes() + 1))
 
 
-def _bounded(kind: str, data: bytes, most: int) -> bytes:
-    """Return what data unpack to, its first *most* bytes; EOFError where they are cut off."""
-    content = b''
-    while data and len(content) < most:     # some write one frame after another
+def _bounded(kind: str, data: bytes, most: int, sentence: str) -> bytes:
+    """Return what data unpack to; EOFError where they are cut off, TooLarge beyond *most*."""
+    parts, size = [], 0
+    while data:         # some write one frame after another
         state = zstd.ZstdDecompressor() if kind == 'zstd' else lz4.frame.LZ4FrameDecompressor()
-        content += state.decompress(data, most - len(content))
-        if len(content) < most and not state.eof:
-            raise EOFError('the data end too early')
+        piece = data
+        while not state.eof:            # in parts: what is too much is not put together
+            parts.append(state.decompress(piece, PART))
+            size, piece = size + len(parts[-1]), b''
+            if size > most:
+                raise TooLarge(sentence)
+            if not state.eof and state.needs_input:
+                raise EOFError('the data end too early')
         data = state.unused_data or b'' if state.eof else b''
-    return content
+    return parts[0] if len(parts) == 1 else b''.join(parts)
 
 
 def unpack_file(packed: Path, target: Path) -> None:

@@ -12,12 +12,12 @@ from typing import Any, TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.errors import PersemError
-from persem_ros.guard.database import harden
+from persem_ros.guard.database import check_declared, harden, Unsafe
 from persem_ros.outputs.export.libraries import needed
 from persem_ros.outputs.export.place import Place, projected
 from persem_ros.outputs.map.lock import WriterLock
-from persem_ros.outputs.map.rows import about_rows, crc_of, ORDER
-from persem_ros.outputs.map.store import reading
+from persem_ros.outputs.map.rows import about_rows, crc_of, ORDER, TABLES
+from persem_ros.outputs.map.store import declared_as_ours, fold_log, reading
 from persem_ros.settings import config_file
 from persem_ros.settings.config import updated
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 GAP = 2.0               # s between two frames between which the camera's track is interpolated
 LEAST = 3               # fixes
+HIGHEST = 1e6           # m: what is said to be higher is no altitude
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +85,8 @@ def fitted(source: MapSource, fixes: Fixes, crs: str = '') -> Fit:
 
     """
     keep = np.isfinite([fixes.latitude, fixes.longitude, fixes.altitude]).all(axis=0) \
-        & (np.abs(fixes.latitude) <= 90) & (np.abs(fixes.longitude) <= 180)
+        & (np.abs(fixes.latitude) <= 90) & (np.abs(fixes.longitude) <= 180) \
+        & (np.abs(fixes.altitude) <= HIGHEST)
     fixes = Fixes(fixes.stamp[keep], fixes.latitude[keep], fixes.longitude[keep],
                   fixes.altitude[keep])
     track, within = _track(source, fixes.stamp)
@@ -138,28 +140,38 @@ def enter(path: Path | str, place: Place) -> None:
             raise PersemError(f'{path}: a map file of schema 1; bring it up first: persem replay '
                               'or the node with map.load and map.save do')
     try:
-        with closing(WriterLock(path)), \
-                closing(sqlite3.connect(path, isolation_level=None)) as db:
-            harden(db)
-            db.execute('BEGIN IMMEDIATE')
-            small: dict[str, list[Any]] = {
-                table: list(db.execute(f'SELECT * FROM {table} ORDER BY {ORDER[table]}'))
-                for table in ('about', 'sessions', 'mounts', 'classes')}
-            about = dict(small['about'])
-            if about.pop('crc') != crc_of(about_rows(about, small)):
-                raise PersemError(f'{path}: damaged (checksum of the small tables); restore it '
-                                  'from a copy')
-            config = config_file.from_text(about['settings'], f'settings in {path}')
-            about['settings'] = config_file.to_yaml(updated(config, {
-                'map.crs': place.crs,
-                'map.georeference': [place.east, place.north, place.up, place.yaw]}))
-            db.execute('UPDATE about SET value = ? WHERE name = ?',
-                       (about['settings'], 'settings'))
-            db.execute('UPDATE about SET value = ? WHERE name = ?',
-                       (crc_of(about_rows(about, small)), 'crc'))
-            db.execute('COMMIT')
-    except sqlite3.Error as error:
+        with closing(WriterLock(path)):
+            declared_as_ours(path)
+            with closing(sqlite3.connect(path, isolation_level=None)) as db:
+                harden(db)
+                check_declared(db, TABLES)
+                # A log can be read by anybody after a kill; a journal could not.
+                db.execute('PRAGMA journal_mode = WAL').fetchall()
+                _enter(db, path, place)
+            fold_log(path, locked=True)
+    except (sqlite3.Error, Unsafe) as error:
         raise PersemError(f'cannot write {path}: {error}') from error
+
+
+def _enter(db: sqlite3.Connection, path: Path, place: Place) -> None:
+    """Do what enter() does on an open file."""
+    db.execute('BEGIN IMMEDIATE')
+    small: dict[str, list[Any]] = {
+        table: list(db.execute(f'SELECT * FROM {table} ORDER BY {ORDER[table]}'))
+        for table in ('about', 'sessions', 'mounts', 'classes')}
+    about = dict(small['about'])
+    if about.pop('crc', None) != crc_of(about_rows(about, small)) or \
+            not isinstance(about.get('settings'), str):
+        raise PersemError(f'{path}: damaged (checksum of the small tables); restore it from a '
+                          'copy')
+    config = config_file.from_text(about['settings'], f'settings in {path}')
+    about['settings'] = config_file.to_yaml(updated(config, {
+        'map.crs': place.crs,
+        'map.georeference': [place.east, place.north, place.up, place.yaw]}))
+    db.execute('UPDATE about SET value = ? WHERE name = ?', (about['settings'], 'settings'))
+    db.execute('UPDATE about SET value = ? WHERE name = ?',
+               (crc_of(about_rows(about, small)), 'crc'))
+    db.execute('COMMIT')
 
 
 def _track(source: MapSource, stamps: NDArray[np.int64]

@@ -57,10 +57,10 @@ def grid_of(source: MapSource, choice: Choice) -> Cells:
     tiles, lowest = _lowest(source, chosen)
     if not len(tiles):
         source.summary_of_something(chosen)
-    width, depth = (int(n) for n in (np.ptp(tiles, axis=0) + 1) * SIDE)
+    width, depth = (int(n) for n in (np.ptp(tiles.astype(np.int64), axis=0) + 1) * SIDE)
     if width * depth > MOST_CELLS:
-        raise PersemError(f'{source.path}: a grid of {width} x {depth} columns is too large; '
-                          'choose a part with --crop')
+        raise PersemError(f'{source.path}: a grid of {width} x {depth} columns is larger '
+                          f'than {MOST_CELLS} cells; choose a part with --crop')
     ground = ground_of(tiles, lowest, rule.window)
     cost = np.full(lowest.shape, -1, np.int8)
     label = np.full(lowest.shape, UNKNOWN_CLASS, np.uint16)

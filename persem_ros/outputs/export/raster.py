@@ -16,6 +16,7 @@ from persem_ros.errors import PersemError
 from persem_ros.outputs.export.libraries import needed
 from persem_ros.outputs.export.place import place_of, projected
 from persem_ros.outputs.files import replacing, write_text
+from persem_ros.outputs.grid.cells import MOST_CELLS
 
 if TYPE_CHECKING:
     from persem_ros.outputs.export.place import Place
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 TILE = 256                  # pixels along a tile's edge
 BANDS = ('height (m)', 'confidence', 'observations')
+MOST_OF_A_SLAB = 150_000_000    # pixels of 14 bytes: 2 GB
 
 
 def write_geotiff(path: Path | str, source: MapSource, choice: Choice) -> tuple[int, int]:
@@ -49,6 +51,10 @@ def write_geotiff(path: Path | str, source: MapSource, choice: Choice) -> tuple[
     # Blocks begin slabs: one that two slabs share would have to be read twice.
     low = np.array([found.low[0] // SIDE * SIDE, *found.low[1:]])
     width, height = (int(n) for n in (found.high - low + 1)[:2])
+    if width * height > MOST_CELLS or min(TILE, width) * height > MOST_OF_A_SLAB:
+        raise PersemError(f'{source.path}: a raster of {width} x {height} pixels is larger than '
+                          f'{MOST_CELLS} pixels, or higher than {MOST_OF_A_SLAB // TILE}; choose '
+                          'a part with --crop')
     small = max(found.labels) < 255
     nothing = 255 if small else 65535
     common = {'driver': 'GTiff', 'width': width, 'height': height, 'crs': crs,

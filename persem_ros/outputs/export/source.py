@@ -175,7 +175,7 @@ class MapSource:
             before: Any = ()
             for row in checked(db.execute('SELECT * FROM blocks ORDER BY x, y, z'), kinds,
                                held_by(self.path)):
-                if before == row[:3]:
+                if row[:3] <= before:
                     raise ValueError('a block twice')
                 before = row[:3]
                 if len(rows) >= blocks and row[:2] != rows[-1][:2]:

@@ -24,13 +24,13 @@ from persem_ros.core.memory.dump import Blocks, MemoryDump, take_over
 from persem_ros.core.memory.pools import OBSERVATIONS
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.errors import PersemError
-from persem_ros.guard.database import check_tables, harden
+from persem_ros.guard.database import check_declared, harden
 from persem_ros.outputs.map import store
 from persem_ros.outputs.map.checks import check_blocks, FARTHEST_BLOCK
 from persem_ros.outputs.map.lock import WriterLock
 from persem_ros.outputs.map.rows import (
-    about_rows, block_rows, blocks_of, COLUMNS, crc_of, frame_rows, KINDS, NAMES, SCHEMA,
-    small_rows)
+    about_rows, block_rows, blocks_of, COLUMNS, crc_of, frame_rows, KINDS, NAMES, small_rows,
+    TABLES)
 from persem_ros.settings import config_file
 from persem_ros.settings.config import Config
 from persem_ros.settings.legend import Legend
@@ -159,11 +159,8 @@ class LivingMap:
         if not path.exists():
             empty = VoxelMemory(self.config.memory.voxel_size, self.config.map.origin)
             store.save(path, empty, self.config)
+        store.declared_as_ours(path)
         head = store.head(path)
-        if head.schema != SCHEMA:
-            whole = store.load(path)
-            store.save(path, whole.saved, whole.config(), whole.legend)
-            head = store.head(path)
         head.stored.check_fits(self.config)
         self._state, self._about = head.stored.saved, head.about
         self.stored_legend = head.stored.legend
@@ -175,7 +172,7 @@ class LivingMap:
             self._writer.execute('PRAGMA journal_mode = WAL').fetchall()
             self._writer.execute('PRAGMA synchronous = FULL')
             self._reader = _connected(path)
-        except sqlite3.Error as error:
+        except (sqlite3.Error, ValueError) as error:
             raise PersemError(f'{path} cannot be attached ({error}); copy it to a disk that can '
                               'be written, or go without map.attached') from error
 
@@ -242,7 +239,7 @@ def _connected(path: Path) -> sqlite3.Connection:
     db = sqlite3.connect(f'file:{quote(os.fsencode(path.resolve()))}?mode=rw', uri=True,
                          isolation_level=None, check_same_thread=False)
     harden(db)
-    check_tables(db, NAMES)
+    check_declared(db, TABLES)
     return db
 
 

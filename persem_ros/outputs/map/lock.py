@@ -32,7 +32,8 @@ class WriterLock:
         self._path = path.with_name(f'.{path.name}.lock')
         while True:
             try:
-                self._handle = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+                self._handle = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC
+                                       | os.O_NOFOLLOW, 0o644)  # a link leads to others' files
             except OSError as error:
                 raise PersemError(f'{path} cannot be written, nor can its folder '
                                   f'({error.strerror}); copy it elsewhere first') from error

@@ -108,6 +108,10 @@ def _shift(first: StoredMap, one: StoredMap) -> NDArray[np.int64]:
         raise PersemError(f'the origins of {first.path} and {one.path} are not whole voxels apart '
                           f'({" ".join(f"{x:.3f}" for x in apart)}); map one anew with --set '
                           f'map.origin={list(first.saved.origin)}')
+    if np.abs(apart).max() > 2 ** 32:
+        raise PersemError(f'the origins of {first.path} and {one.path} are '
+                          f'{np.abs(apart).max():.3g} voxels apart, more than 2^32: they cannot '
+                          'be one map')
     return np.rint(apart).astype(np.int64)
 
 
@@ -134,17 +138,20 @@ def _ids(done: Merged, one: StoredMap) -> NDArray[np.uint16]:
             raise PersemError(f'id {c} is used before {one.path} and has no name; {settle}')
     taken = {*done.legend.ids, *one.legend.ids, *used, *np.flatnonzero(done.memory.seen_ids),
              *one.config().memory.ignore_labels, *one.config().memory.dynamic_labels}
+    free, learned = (i for i in range(LAST_ID + 1) if i not in taken), list(done.legend.classes)
     for c in used:
         item: LegendClass | None = theirs.get(c)
         if item is None:
             raise PersemError(f'{one.path}: id {c} is used and has no name; {settle}')
         if item.name not in names:
-            fresh = next(i for i in range(LAST_ID + 1) if i not in taken)
-            taken.add(fresh)
+            fresh = next(free, None)
+            if fresh is None:
+                raise PersemError(f'{one.path}: with its classes there would be more than '
+                                  f'{LAST_ID + 1}, the most that ids can number; {settle}')
             names[item.name] = fresh
-            classes = *done.legend.classes, replace(item, id=fresh)
-            done.legend = Legend(done.legend.title, classes)
+            learned.append(replace(item, id=fresh))
         ids[c] = names[item.name]
+    done.legend = Legend(done.legend.title, tuple(learned))
     return ids
 
 

@@ -25,7 +25,9 @@ from persem_ros.core.memory.capture import dump
 from persem_ros.core.memory.dump import load as load_memory, MemoryDump
 from persem_ros.core.memory.pools import SIDE
 from persem_ros.errors import PersemError
-from persem_ros.guard.database import check_tables, checked, harden, held_by, opened
+from persem_ros.guard.database import (
+    check_beside, check_declared, check_tables, checked, harden, held_by, journal_of, opened,
+    Unsafe)
 from persem_ros.outputs.files import replacing
 from persem_ros.outputs.map import schema1
 from persem_ros.outputs.map.lock import WriterLock
@@ -159,7 +161,7 @@ def save(path: Path, memory: VoxelMemory, config: Config, legend: Legend | None 
 
 def fold_log(path: Path | str, locked: bool = False) -> None:
     """
-    Bring the log that a killed writer left beside a map file into the file.
+    Bring the log or journal that a killed writer left beside a map file into the file.
 
     Raises
     ------
@@ -168,10 +170,11 @@ def fold_log(path: Path | str, locked: bool = False) -> None:
 
     """
     path = Path(path)
-    if not path.exists() or held_by(path) == path.stat().st_size:
+    if not path.exists() or held_by(path) == path.stat().st_size and journal_of(path) is None:
         return
     lock = None if locked else WriterLock(path)
     try:
+        check_beside(path)
         with closing(sqlite3.connect(path, isolation_level=None)) as db:
             harden(db)
             check_tables(db, NAMES)
@@ -183,6 +186,33 @@ def fold_log(path: Path | str, locked: bool = False) -> None:
     finally:
         if lock is not None:
             lock.close()
+
+
+def declared_as_ours(path: Path) -> None:
+    """
+    Write a map file anew that is of schema 1, or whose tables somebody else has declared.
+
+    Raises
+    ------
+    PersemError
+        As load() and save() do, and for links beside it that SQLite would follow.
+
+    """
+    try:
+        check_beside(path)
+        if journal_of(path) is not None:
+            fold_log(path, locked=True)
+        with reading(path) as (db, first):
+            if not first:
+                check_declared(db, TABLES)
+                return
+    except Unsafe as error:
+        raise PersemError(f'{path}: {error}; move what lies beside it away') from error
+    except PersemError as error:
+        if not isinstance(error.__cause__, Unsafe):
+            raise
+    whole = load(path)
+    save(path, whole.saved, whole.config(), whole.legend)
 
 
 def _keep_schema_1(path: Any) -> None:
@@ -315,4 +345,6 @@ def _insert(db: sqlite3.Connection, table: str, rows: Iterator[Any] | list[Any])
 def _why(error: Any) -> str:
     """Return what is damaged, in a few words."""
     text = str(error) if isinstance(error, (sqlite3.Error, ValueError)) else ''
+    if text == 'interrupted':       # by guard.database.limit_steps
+        return 'reading it takes more steps than a file of its size needs'
     return ' '.join(text.split())[:60] or type(error).__name__
