@@ -331,6 +331,8 @@ def main():
     parser.add_argument('--seconds', type=float, default=60, help='length of the flight at 10 Hz')
     parser.add_argument('--rates', type=float, nargs='*', default=[20, 30, 40],
                         help='further rates, 20 s each')
+    parser.add_argument('--geometry', action='store_true',
+                        help='the row of the method geometry alone')
     parser.add_argument('--soak', type=float, default=0, metavar='SECONDS',
                         help='loop a flight for that long and print the memory instead')
     parser.add_argument('--listen', help=argparse.SUPPRESS)
@@ -370,6 +372,10 @@ def tables(node, args):
     print('| size | Hz | sent | refined | dropped | p50 ms | p95 ms | max ms | in the node ms | '
           'voxels | largest map MB | refinement s | RSS MB |\n'
           '|---|---|---|---|---|---|---|---|---|---|---|---|---|')
+    row, _ = measure(node, flight, args.seconds, 10, ['refine.method:=geometry'])
+    print(f'| 640 x 480 geometry {row}', flush=True)
+    if args.geometry:
+        return
     for rate, seconds in [(10, args.seconds), *((rate, 20) for rate in args.rates)]:
         row, clean = measure(node, flight, seconds, rate)
         print(f'| 640 x 480 {row}', flush=True)

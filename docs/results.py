@@ -85,6 +85,7 @@ def commands():
             ('town-depth', town[1:]), ('patch-good', IGNORED), ('patch-weak', IGNORED))),
         evaluate('kitchen-fine', 'kitchen', '--set', 'memory.voxel_size=0.03', '--set',
                  'memory.ignore_labels=0,255,65535'),
+        evaluate('town-all', 'town-depth', '--methods', FOUR, '--no-figures'),
         each('ablations', ABLATIONS, *SMALL[:4], *label),
         each('ablations-town', ABLATIONS, 'town-depth', *town[1:]),
         *(each(f'ablations-{which}', ABLATIONS, f'patch-{which}', *IGNORED)
