@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, ExitStack
+from contextlib import contextmanager, ExitStack, nullcontext
 import logging
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
@@ -33,6 +33,7 @@ from persem_ros.outputs.results.metrics import Metrics
 from persem_ros.pipeline import Pipeline
 from persem_ros.preflight.advice import Advice
 from persem_ros.preflight.emptiness import Emptiness
+from persem_ros.preflight.files import as_one
 from persem_ros.preflight.look import opened
 from persem_ros.rendering import Renderer
 from persem_ros.settings import config_file
@@ -80,9 +81,10 @@ class Replay:
         self.renderer = Renderer(self.pipeline, self.methods)
         self.metrics = Metrics(self.methods)
         self.frames, self.causal = 0, False
+        self.storage = 'mcap'   # of refined/
         self._session = self._measured = 0
         self._before = self.pipeline.memory.n_observations     # of a map that goes on
-        self._emptiness = Emptiness(config.memory)
+        self._emptiness = Emptiness(config.memory, bool(config.depth.min_confidence))
 
     def run(self) -> dict[str, Any]:
         """Build the map, refine it, render every frame from it; return metrics.json's content."""
@@ -96,7 +98,7 @@ class Replay:
         # One more at the end: -1 is the number of no voxel, and no region its own.
         codes = np.append(regions(self.pipeline.memory, self.config.refine.neighbours)[0],
                           np.uint8(0))
-        with self._refined() as refined, WriteBehind() as later:
+        with self._refined() as refined, self._behind() as later:
             with self._read('rendering', truth=True, color=bool(self.watchers)) as frames:
                 for session, frame in frames:
                     if self._begins_measuring(session):
@@ -111,7 +113,7 @@ class Replay:
         """Integrate, refine when it is time, render: what a node would have published."""
         self.causal, period = True, int(self.config.refine.period * 1e9)
         refined_at = None
-        with self._refined() as refined, WriteBehind() as later:
+        with self._refined() as refined, self._behind() as later:
             with self._read('mapping', truth=True, color=bool(self.watchers)) as frames:
                 for session, frame in frames:
                     if session != self._session:
@@ -210,7 +212,12 @@ class Replay:
 
     def _refined(self) -> RefinedWriter:
         """Return the writer of refined/."""
-        return RefinedWriter(self.folder / 'refined', self.legend, self.config, self.watch)
+        return RefinedWriter(self.folder / 'refined', self.legend, self.config, self.watch,
+                             self.storage)
+
+    def _behind(self) -> Any:
+        """Return what writes beside the rendering; sqlite3 is bound to one thread."""
+        return WriteBehind() if self.storage == 'mcap' else nullcontext(at_once)
 
     def _write_map(self) -> None:
         """Write map.ply, map.persem and the settings."""
@@ -238,10 +245,15 @@ class Replay:
         return result
 
 
+def at_once(function: Any, *arguments: Any) -> None:
+    """Call a function, as WriteBehind does later."""
+    function(*arguments)
+
+
 def replay(path: Path | str, out: Path | str, config: Config, methods: Sequence[str] | None = None,
            causal: bool = False, force: bool = False, watchers: Sequence[Any] = (),
-           report: bool = True, excerpt: Any = WHOLE,
-           trajectory: Trajectory | None = None) -> dict[str, Any]:
+           report: bool = True, excerpt: Any = WHOLE, trajectory: Trajectory | None = None,
+           storage: str = 'mcap') -> dict[str, Any]:
     """
     Replay a recording into a folder (spec section 8).
 
@@ -269,6 +281,8 @@ def replay(path: Path | str, out: Path | str, config: Config, methods: Sequence[
     trajectory : persem_ros.core.trajectory.Trajectory, optional
         Corrects the poses of the recording of its time; else that on topics.trajectory, where
         there is one, does.
+    storage : str
+        Of the recording refined/: 'mcap', or 'sqlite3', which every ROS 2 opens without a plugin.
 
     Returns
     -------
@@ -294,7 +308,7 @@ def replay(path: Path | str, out: Path | str, config: Config, methods: Sequence[
             compile_kernels(methods)
             watchers = [*watchers, *([ReportWatcher()] if report else [])]
             job = Replay(recording, folder, config, methods, watchers, memory)
-            job.out = Path(out)
+            job.out, job.storage = Path(out), storage
             result = job.run_causal() if causal else job.run()
             if lock is not None:        # the whole session, or nothing of it
                 store.save(config.map.path, job.pipeline.memory, config, job.legend)
@@ -309,9 +323,12 @@ def opened_all(paths: Sequence[str | Path], config: Config,
         for path in paths:
             recordings.append(opened(path, config, excerpt=excerpt))
             config = recordings[-1].config
-    except BaseException:
+    except BaseException as error:
         for recording in recordings:
             recording.close()
+        if isinstance(error, PersemError) and (
+                sentence := as_one(paths, config) if len(paths) > 1 else ''):
+            raise PersemError(f'{error}; {sentence}') from None
         raise
     return recordings
 

@@ -11,6 +11,7 @@ FILES = 'inputs/test_recording_files.py'
 FRAMES, STAMPS = 'preflight/test_frames_and_poses.py', 'preflight/test_stamps_and_lag.py'
 IMAGES, SENSORS = 'preflight/test_what_images_say.py', 'replay/test_sensors_replayed.py'
 OTHER, ORDER = 'inputs/test_other_sensors.py', 'inputs/test_reading_order.py'
+TRUST, INFO = 'preflight/test_confidence_images.py', 'preflight/test_info.py'
 LABELS, SESSIONS = 'inputs/test_label_reader.py', 'replay/test_replay_inputs.py'
 CONVERT, PATHS = 'convert/test_convert_frames.py', 'convert/test_trajectories.py'
 # The beginning of a row, the file and the beginning of the name of the test behind it.
@@ -33,6 +34,7 @@ ROWS = {
     'a camera info of another camera': (FRAMES, 'test_the_right_camera_info_is_found'),
     'no frame called `map`': (FRAMES, 'test_the_only_root_is_the_map_frame'),
     'a body pose and a gimbal': (FRAMES, 'test_a_gimbal_on_tf_is_followed'),
+    'a child frame, typed': (FRAMES, 'test_what_is_said_of_the_poses_and_depth'),
     'odometry in `odom`': (FRAMES, 'test_odometry_is_carried_to_the_map'),
     'poses in another frame': (FRAMES, 'test_poses_in_another_frame_are_the_maps'),
     'a body that two sources': (FRAMES, 'test_two_parents_that_take_turns'),
@@ -46,6 +48,7 @@ ROWS = {
     'labels stamped when': (STAMPS, 'test_labels_stamped_late_are_refused'),
     'late labels that happen': (STAMPS, 'test_a_lag_that_brings_all_labels_near'),
     'labels that are all beside': (IMAGES, 'test_labels_always_beside_their_depth'),
+    'labels computed from': (INFO, 'test_labels_stamped_a_day_later'),
     'late by a varying time': (STAMPS, 'test_jitter_beyond_the_tolerance'),
     'stamps that are 0': (STAMPS, 'test_zero_stamps_are_named'),
     'clocks that do not overlap': (STAMPS, 'test_clocks_that_do_not_overlap'),
@@ -63,12 +66,18 @@ ROWS = {
     '`16UC1` or `mono16`': ('inputs/test_messages.py', 'test_depth_of_other_encodings'),
     'another unit': ('preflight/test_depth_fit.py', 'test_a_unit_with_which_frames_agree'),
     'the distance along': ('preflight/test_depth_fit.py', 'test_the_kind_with_which_frames'),
+    '`stereo_msgs/Disp': (IMAGES, 'test_a_disparity_image_is_depth'),
+    'disparities in a': (IMAGES, 'test_disparities_without_a_baseline'),
+    'depth of which': (IMAGES, 'test_depth_of_which_nothing_is_in_range'),
     '65535, or': (IMAGES, 'test_a_number_for_nothing_is_noticed'),
     'a camera info of another aspect': (IMAGES, 'test_a_camera_info_of_another_shape'),
     'no camera info at all': (IMAGES, 'test_a_recording_without_camera_infos'),
     'a confidence image, ZED': (SENSORS, 'test_depth_that_is_not_to_be'),
     'the same, RealSense': (SENSORS, 'test_depth_that_is_not_to_be'),
     'the same, OAK': (SENSORS, 'test_depth_that_is_not_to_be'),
+    'the wrong sign of': (TRUST, 'test_they_are_refused'),
+    'colours that are none': (LABELS, 'test_a_legend_that_fits_no_colour'),
+    '`labels.channel=r` on': (IMAGES, 'test_one_channel_of_colours_is_refused'),
     'colours of a legend': (LABELS, 'test_colours_of_the_legend'),
     'ids in one channel': (LABELS, 'test_ids_in_one_channel_are_found'),
     'instances, class': (LABELS, 'test_instances_become_classes'),

@@ -9,6 +9,8 @@ from persem_ros.commands import add_excerpt, add_settings
 if TYPE_CHECKING:
     from argparse import _SubParsersAction, Namespace
 
+    from persem_ros.settings.config import Config
+
 
 def add_parser(subparsers: _SubParsersAction[Any]) -> None:
     """Add the sub-command and its options."""
@@ -17,15 +19,28 @@ def add_parser(subparsers: _SubParsersAction[Any]) -> None:
         description='Lists topics, types, counts, rates, encodings, sizes, frames and stamps of '
                     'a rosbag2 recording, which of them a replay would use, and what is missing, '
                     'as flags to paste. The exit status is 1 when something needed is missing.')
-    parser.add_argument('bag', metavar='BAG', help='rosbag2 folder, .mcap or .db3 file; A+B is '
-                                                   'one input in two recordings')
+    parser.add_argument('bags', metavar='BAG', nargs='+',
+                        help='rosbag2 folder, .mcap or .db3 file; A+B is one input in two '
+                             'recordings, A B are two')
     add_excerpt(parser)
     add_settings(parser)
     parser.set_defaults(run=run)
 
 
-def run(args: Namespace) -> int | None:
-    """Print the report; return 0 where a replay can use the recording, else 1."""
+def run(args: Namespace) -> int:
+    """Print a report of each input; return 0 where a replay can use all of them, else 1."""
+    from persem_ros.preflight.files import as_one
+    from persem_ros.settings import config_file
+
+    config = config_file.from_args(args.config, args.set_items)
+    lacking = [_report(bag, args, config) for bag in args.bags]
+    if any(lacking) and len(args.bags) > 1 and (sentence := as_one(args.bags, config)):
+        print(f'note: {sentence}')
+    return 1 if any(lacking) else 0
+
+
+def _report(bag: str, args: Namespace, config: Config) -> bool:
+    """Print the report of an input; return whether something needed is missing."""
     import sys
 
     from persem_ros.commands import excerpt_of
@@ -38,12 +53,10 @@ def run(args: Namespace) -> int | None:
     from persem_ros.preflight.findings import of_severity, REFUSE
     from persem_ros.preflight.look import look, takes_of
     from persem_ros.preflight.stamps import usable
-    from persem_ros.settings import config_file
     from tqdm import tqdm
 
-    config = config_file.from_args(args.config, args.set_items)
     limits.use(config.inputs.max_pixels)
-    with Source(args.bag) as source:
+    with Source(bag) as source:
         total = sum(topic.count for topic in source.topics)
         rows = contents.survey(source, lambda it: tqdm(
             it, total=total, unit=' messages', leave=False, dynamic_ncols=True,
@@ -66,4 +79,4 @@ def run(args: Namespace) -> int | None:
         words += [word for item in takes_of(found).items() for word in ('--set', '='.join(item))]
         words = excerpt.words() + words
         print(contents_text.text(source, rows, choice, lacking, found, counts, words), end='')
-    return 1 if lacking else 0
+    return bool(lacking)

@@ -37,6 +37,9 @@ def add_parser(subparsers: _SubParsersAction[Any]) -> None:
     parser.add_argument('--force', action='store_true',
                         help='replace the files of an earlier run in DIR, when the new ones are '
                              'whole; and FILE of --figure and --rerun')
+    parser.add_argument('--storage', choices=('mcap', 'sqlite3'), default='mcap',
+                        help='storage of the recording refined/ (default: mcap); every ROS 2 '
+                             'opens sqlite3 without a plugin')
     parser.add_argument('--rerun', metavar='FILE.rrd',
                         help='log camera, images and the growing map for the Rerun viewer as well '
                              "(pip install 'persem_ros[viewer]')")
@@ -80,7 +83,7 @@ def run(args: Namespace) -> None:
             from persem_ros.outputs.report.figure import FigureWatcher
             watchers.append(FigureWatcher(args.figure))
         result = replay(args.bags, args.out, config, methods, args.causal, args.force, watchers,
-                        excerpt=excerpt_of(args), trajectory=trajectory)
+                        excerpt=excerpt_of(args), trajectory=trajectory, storage=args.storage)
     print(summary(result, truth.missing, truth.reasons))
     print(f'\nresults in {args.out}, to be looked at: {Path(args.out) / "report.html"}')
 

@@ -18,7 +18,7 @@ from persem_ros.inputs.registration import depth_of_cloud, registered
 from persem_ros.inputs.sync.pairing import (
     COLOR, CONFIDENCE, DEPTH, DEPTH_CONFIDENCE, LABELS, TRUTH)
 from persem_ros.inputs.views import CAMERAS_KEPT, Views
-from persem_ros.settings.config import Config
+from persem_ros.settings.config import Config, frame_of
 from persem_ros.settings.legend import Legend
 
 if TYPE_CHECKING:
@@ -41,6 +41,11 @@ class Assembler:
     names_at : callable
         names_at(stamp, tables) gives what Names.at() does: what ids mean.
 
+    Attributes
+    ----------
+    given : str
+        The frame that the settings say its images are in, '' for none.
+
     """
 
     def __init__(self, config: Config | None = None, sensor: str = '',
@@ -50,6 +55,7 @@ class Assembler:
         self._views, self._label_views = (Views(config.camera.rectified) for _ in range(2))
         self._depth, self._points, self._fit = config.depth, config.points, config.labels.fit
         self._sensor = sensor
+        self.given = frame_of(config, sensor)
         self._matchings: dict = {}
         self._names_at = names_at
         self.reader, self._truth_reader = LabelReader(config.labels), LabelReader(config.labels)
@@ -58,6 +64,11 @@ class Assembler:
     def frame_id(self) -> str:
         """Return the frame of the first camera info, None before it has come."""
         return self._views.frame_id
+
+    @property
+    def frame_setting(self) -> str:
+        """Return the name of the setting that says which frame its images are in."""
+        return f'cameras.{self._sensor}.frame' if self._sensor else 'camera.frame'
 
     @property
     def knows_labels(self) -> bool:
@@ -73,7 +84,9 @@ class Assembler:
         self._label_views.add(info)
 
     def depth(self, msg: Any) -> NDArray[np.float64]:
-        """Return the depth image of a message in metres (H, W), as depth.scale has it."""
+        """Return the depth image of a message in metres (H, W), by depth.scale and kind."""
+        if messages.is_disparity(msg) or self._depth.kind == 'disparity':
+            return messages.disparity(msg, self._depth.scale)
         return messages.depth(msg, self._depth.scale)
 
     def frame(self, match: Match, decoded: dict[str, Any]) -> tuple[Frame, list[Any]]:

@@ -257,30 +257,30 @@ class Intake:
         labels, depth = match.items[LABELS], match.items.get(DEPTH)
         info_frame = assembler.frame_id
         if depth is None:       # a labelled cloud
-            return self._found(poses, match.stamp, labels.frame_id)
+            return self._found(poses, assembler, match.stamp, labels.frame_id)
         if info_frame is None:
             return Lookup(None, False, NO_INFO)
         lidar = depth.msgtype == clouds.TYPE
-        given = self.config.camera.frame
+        given = assembler.given
         frame_id = given or (labels if lidar else depth).frame_id or labels.frame_id or info_frame
-        found = self._found(poses, match.stamp, frame_id)
+        found = self._found(poses, assembler, match.stamp, frame_id)
         if given and not lidar:
             return found
         other = (depth if lidar else labels).frame_id or frame_id
         if found.T is None or other == frame_id and not lidar:
             return found
-        tied = self._tied(poses, match, found, frame_id, other, lidar)
+        tied = self._tied(poses, assembler, match, found, frame_id, other, lidar)
         if tied.T is None or lidar or match.T_labels_depth is None or assembler.knows_labels:
             return tied
         self.examples[OTHER_CAMERA] = other_camera_sentence(other, frame_id,
                                                             match.T_labels_depth)
         return Lookup(None, False, OTHER_CAMERA)
 
-    def _found(self, poses: Any, stamp: Any, frame_id: Any) -> Any:
+    def _found(self, poses: Any, assembler: Assembler, stamp: Any, frame_id: Any) -> Any:
         """Return the pose of a frame; where there is none, remember why."""
         found = poses.lookup(stamp, frame_id)
         if found.reason in (NO_MOUNT, UNSAID):
-            self.no_mount(found.reason, poses.mount_sentence(frame_id))
+            self.no_mount(found.reason, poses.mount_sentence(frame_id, assembler.frame_setting))
         elif found.reason == OTHER_FRAME:
             self.examples[OTHER_FRAME] = poses.other_frame_sentence()
         elif found.T is None:
@@ -293,7 +293,8 @@ class Intake:
         return found
 
     def _tied(
-            self, poses: Any, match: Any, found: Any, frame_id: Any, other: Any, lidar: Any
+            self, poses: Any, assembler: Assembler, match: Any, found: Any, frame_id: Any,
+            other: Any, lidar: Any
     ) -> Any:
         """
         Note how the depth of a match is seen by the labels' camera; return the depth's pose.
@@ -311,7 +312,7 @@ class Intake:
             if not self.untied(frame_id, other):
                 return Lookup(None, False, NO_TIE_YET)
             return found        # nothing says that they are two cameras
-        then = self._found(poses, match.items[DEPTH].stamp, frame_id)
+        then = self._found(poses, assembler, match.items[DEPTH].stamp, frame_id)
         if then.T is None:
             return then
         if lidar:

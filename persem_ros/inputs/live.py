@@ -6,7 +6,7 @@ from functools import partial
 import time
 from typing import Any, NamedTuple
 
-from persem_ros.inputs.decode import messages
+from persem_ros.inputs.decode import messages, px4
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.intake import Intake, POSE
 from persem_ros.inputs.sync.backlog import Backlog
@@ -98,7 +98,7 @@ class LiveIntake(Intake):
             super().take(role, taker, kind, now, data)
             return
         try:
-            stamp, _ = messages.header(data)
+            stamp = _stamp(kind, data)
         except BadMessage as fault:
             self._drop(role, fault)
             return
@@ -240,6 +240,16 @@ class LiveIntake(Intake):
 
     def _drop_reason(self, role: Any, reason: Any) -> None:
         self.dropped[reason if role == LABELS else f'{role}: {reason}'] += 1
+
+
+def _stamp(kind: str, data: bytes) -> int:
+    """Return the stamp of a serialized image or pose, ns; BadMessage where it has none."""
+    if kind != px4.TYPE:
+        return messages.header(data)[0]
+    stamp = px4.stamp_of(data)
+    if stamp is None:
+        raise BadMessage('damaged message', f'a {kind} ends before its stamp')
+    return stamp
 
 
 def full_sentence(sync: Any) -> Any:

@@ -49,17 +49,26 @@ def check(view: View, sample: Sample, frames: Sequence[Seen]) -> Iterator[Findin
 def _remedies(view: View, sample: Sample, R: NDArray[np.float64]) -> Iterator[Remedy]:
     """Yield the frame of /tf_static that has the right axes, else the mounting that has."""
     frame, poses = view.image_frame, view.poses
+    if any(sample.config.pose.extrinsic):
+        return
     optical = [name for name in poses.tree.static if name != frame
                and (T := poses.tree.chain(frame, name, None).T) is not None
                and np.allclose(T[:3, :3], R, atol=1e-3)]
     for name in optical:
-        yield Remedy({'camera.frame': name}, 'names one that is optical')
-    if optical or sample.config.pose.source == 'tf':
+        yield Remedy({view.frame_setting: name}, 'names one that is optical')
+    if optical:
+        return
+    if sample.config.pose.source == 'tf':       # placed in the frame of the images
+        yield Remedy({'pose.extrinsic': _numbers(np.zeros(3), R)})
         return
     child = poses.child if poses.child not in ('', frame) else 'base_link'
     mount = poses.tree.chain(child, frame, None).T
     mount = np.eye(4) if mount is None else mount
-    numbers = [*mount[:3, 3], *matrix_to_quaternion(mount[:3, :3] @ R)]
-    text = ','.join(f'{round(x, 6) + 0.0:.6g}' for x in numbers)
     said = {} if poses.child == child else {'pose.child_frame': child}
-    yield Remedy({**said, 'pose.extrinsic': f'[{text}]'})
+    yield Remedy({**said, 'pose.extrinsic': _numbers(mount[:3, 3], mount[:3, :3] @ R)})
+
+
+def _numbers(xyz: NDArray[np.float64], R: NDArray[np.float64]) -> str:
+    """Return a place and a turn as the setting pose.extrinsic is typed."""
+    values = (f'{round(x, 6) + 0.0:.6g}' for x in (*xyz, *matrix_to_quaternion(R)))
+    return f'[{",".join(values)}]'

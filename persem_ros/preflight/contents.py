@@ -9,12 +9,13 @@ from typing import Any, TYPE_CHECKING
 from persem_ros.inputs.decode import messages
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.recording.stamps import stamp_of
-from persem_ros.inputs.recording.topics import COMPRESSED, IMAGE, INFO, POSES, TF, TRIED
+from persem_ros.inputs.recording.topics import (
+    COMPRESSED, DISPARITY, IMAGE, INFO, POSES, TF, TRIED)
 
 if TYPE_CHECKING:
     from persem_ros.inputs.recording.source import Source
 
-HEADERS = {IMAGE, COMPRESSED, INFO, *POSES.values()}
+HEADERS = {IMAGE, COMPRESSED, DISPARITY, INFO, *POSES.values()}
 SHORTEST = 10**8             # ns; latched messages come in a burst, which is no rate
 
 
@@ -109,7 +110,9 @@ def _describe(row: Row, msg: Any) -> None:
     """Fill in what the first message tells."""
     row.encoding = getattr(msg, 'encoding', None) or getattr(msg, 'format', '') or \
         getattr(msg, 'distortion_model', '')
-    if hasattr(msg, 'width') and hasattr(msg, 'height'):
+    if row.msgtype == DISPARITY:
+        row.encoding, row.size = msg.image.encoding, f'{msg.image.width}x{msg.image.height}'
+    elif hasattr(msg, 'width') and hasattr(msg, 'height'):
         row.size = f'{msg.width}x{msg.height}'
     elif row.msgtype == COMPRESSED:
         row.size = _compressed_size(msg)

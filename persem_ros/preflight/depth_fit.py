@@ -33,12 +33,11 @@ class Seen(NamedTuple):
 
 def likely_unit(low: float, high: float, settings: Memory) -> str:
     """Return what to type where depths *low* to *high* are too large to be metres, else ''."""
-    for name, unit in UNITS.items():
-        # Below twice the range, depths may as well be metres of a longer one.
-        if high > 2 * settings.max_depth and settings.min_depth <= unit * low \
-                and unit * high <= settings.max_depth:
-            return f'if they are {name}: --set depth.scale={unit:g}'
-    return ''
+    # Below twice the range, depths may as well be metres of a longer one.
+    fitting = [f'if they are {name}: --set depth.scale={unit:g}' for name, unit in UNITS.items()
+               if high > 2 * settings.max_depth and settings.min_depth <= unit * low
+               and unit * high <= settings.max_depth]
+    return ', '.join(fitting)
 
 
 def about_depth(frames: Sequence[Seen], config: Config, unit: float = 1.0) -> Iterator[str]:
@@ -67,7 +66,7 @@ def about_depth(frames: Sequence[Seen], config: Config, unit: float = 1.0) -> It
         or _by_numbers(depths, config.memory, unit)
     if wrong:
         yield wrong
-    elif not agree:
+    elif not agree and config.depth.kind != 'disparity':
         yield from _kind(frames, depths, moves, config.depth.kind)
 
 

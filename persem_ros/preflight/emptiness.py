@@ -6,6 +6,7 @@ import math
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.core.frame.images import counted, on_depth
 from persem_ros.preflight.depth_fit import likely_unit
 
@@ -22,11 +23,13 @@ class Emptiness:
     Parameters
     ----------
     settings : persem_ros.settings.config.Memory
+    trusting : bool
+        Whether depth.min_confidence leaves pixels out.
 
     """
 
-    def __init__(self, settings: Memory) -> None:
-        self._settings = settings
+    def __init__(self, settings: Memory, trusting: bool = False) -> None:
+        self._settings, self._trusting = settings, trusting
         self._low, self._high = math.inf, -math.inf     # of the depths that are measurements
         self._near = self._in_range = self._labelled = self._both = False
         self._ids = set()
@@ -34,30 +37,42 @@ class Emptiness:
     def frame(self, frame: Any) -> None:
         """Look at a persem_ros.frames.Frame that gave no observation."""
         settings, labels = self._settings, on_depth(frame, frame.labels)
-        measured = np.isfinite(frame.depth) & (frame.depth > 0.0)
-        if measured.any():
-            depth = frame.depth[measured]
-            self._low = min(self._low, float(depth.min()))
-            self._high = max(self._high, float(depth.max()))
-            self._near |= bool((depth < settings.min_depth).any())
-        inside = measured & (settings.min_depth <= frame.depth) \
-            & (frame.depth <= settings.max_depth)
+        inside = self.depth(frame.depth)
         known = counted(labels, settings) >= 0
-        self._in_range |= bool(inside.any())
         self._labelled |= bool(known.any())
         self._both |= bool((inside & known).any())
         if len(self._ids) <= SHOWN:
             self._ids.update(np.unique(labels).tolist())
 
-    def sentence(self) -> Any:
-        """Return why nothing was observed."""
+    def depth(self, depth: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Look at a depth image (H, W), metres; return which pixels are in range."""
+        settings = self._settings
+        found = depth[np.isfinite(depth) & (depth > 0.0)]
+        if found.size:
+            self._low = min(self._low, float(found.min()))
+            self._high = max(self._high, float(found.max()))
+            self._near |= bool((found < settings.min_depth).any())
+        inside = (depth > 0.0) & (settings.min_depth <= depth) & (depth <= settings.max_depth)
+        self._in_range |= bool(inside.any())
+        return inside
+
+    def of_depth(self) -> str:
+        """Return why the depth alone leaves nothing, '' where it is in range somewhere."""
         settings = self._settings
         if self._high < 0:
-            return 'no pixel has a depth: all of them are 0, NaN or infinite'
+            return 'no pixel has a depth: all of them are 0, negative, NaN or infinite' + (
+                '; depth.min_confidence may be what leaves them out' if self._trusting else '')
         if not self._in_range:
             return (f'no pixel was between memory.min_depth {settings.min_depth:g} m and '
                     f'memory.max_depth {settings.max_depth:g} m; depths are {self._low:.4g} to '
                     f"{self._high:.4g} m: is the depth's unit right{self._other_range()}?")
+        return ''
+
+    def sentence(self) -> Any:
+        """Return why nothing was observed."""
+        settings, of_depth = self._settings, self.of_depth()
+        if of_depth:
+            return of_depth
         if not self._labelled:
             ids = sorted(self._ids)[:SHOWN]
             more = ', …' if len(self._ids) > SHOWN else ''

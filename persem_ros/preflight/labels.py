@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.frames import MAX_ID
 from persem_ros.inputs import fit
-from persem_ros.inputs.assemble import is_cloud, other_camera_sentence
+from persem_ros.inputs.assemble import Assembler, is_cloud, other_camera_sentence
 from persem_ros.inputs.decode import clouds, messages
 from persem_ros.inputs.decode.labels import LabelReader, LEGEND
 from persem_ros.inputs.decode.messages import BadMessage
@@ -48,8 +48,9 @@ def _view(view: View, config: Config, legend: Legend | None) -> Iterator[Finding
         yield Finding(REFUSE, f'{100 * reader.off / reader.pixels:.0f} % of the pixels on '
                               f"{view.topics['labels']} have a colour that is none of the "
                               "legend's: another topic, or another legend (labels.legend)?")
-    elif reader.off:
-        yield Finding(WARN, reader.note)
+    elif reader.note:
+        yield Finding(WARN if reader.off else NOTE, reader.note)
+    yield from _channel(view, config, reader, legend)
     yield from _ids(np.concatenate([ids.ravel() for ids in seen]), view, config)
     other = _other_camera(view)
     if other:
@@ -59,7 +60,7 @@ def _view(view: View, config: Config, legend: Legend | None) -> Iterator[Finding
         if is_cloud(msg):
             return
         try:
-            size = messages.depth(msg).shape
+            size = Assembler(config).depth(msg).shape
         except BadMessage:      # check_depth says so
             continue
         try:
@@ -67,6 +68,21 @@ def _view(view: View, config: Config, legend: Legend | None) -> Iterator[Finding
         except BadMessage as fault:
             yield Finding(REFUSE, str(fault))
         return
+
+
+def _channel(view: View, config: Config, reader: LabelReader,
+             legend: Legend | None) -> Iterator[Finding]:
+    """Yield that one channel is read of images in the colours of a legend."""
+    if config.labels.channel in ('', LEGEND):
+        return
+    found = [reader.colours(msg, legend) for msg in view.firsts['labels'] if not is_cloud(msg)]
+    names = [name for name in found if name is not None]
+    if names:
+        also = {'labels.legend': names[0]} if names[0] else {}
+        yield Finding(REFUSE, f'the images on {view.topics["labels"]} have the colours of '
+                              f'{"the legend " + names[0] if names[0] else "the legend"}; their '
+                              f'channel {config.labels.channel} alone is no id',
+                      (Remedy({'labels.channel': LEGEND, **also}),))
 
 
 def _ids(ids: NDArray[np.int32], view: View, config: Config) -> Iterator[Finding]:

@@ -152,8 +152,9 @@ def _advice(said: str, labels: Stamps, depth: Stamps, offset: int, best: tuple[i
     value = f'{(offset - lag) / 1e9:.3f}'
     if count >= FITS * possible:
         return (f'{said}; {count} fit a depth image {lag / 1e6:.0f} ms '
-                f'{"earlier" if lag >= 0 else "later"}, as if they were stamped when the '
-                'network was done', (Remedy({'sync.offset_labels': value}),))
+                f'{"earlier" if lag >= 0 else "later"}, as if they were stamped when '
+                f'{"the network was done" if abs(lag) <= LONGEST else "a recording was played"}',
+                (Remedy({'sync.offset_labels': value}),))
     rest = np.abs(distances(labels - lag, depth))
     wide = 1.1 * float(np.percentile(rest, 95)) / 1e9
     period = float(np.median(np.diff(depth))) / 1e9

@@ -11,20 +11,22 @@ from persem_ros.inputs.recording.excerpt import Excerpt, WHOLE
 from persem_ros.inputs.recording.recording import Recording
 from persem_ros.inputs.recording.source import Source
 from persem_ros.inputs.recording.topics import Choice
-from persem_ros.preflight import depth, frames, labels, lag, poses, recorded, stamps
+from persem_ros.preflight import (
+    confidence, depth, frames, labels, lag, poses, recorded, stamps)
 from persem_ros.preflight.files import cut
 from persem_ros.preflight.findings import Finding, NOTE, of_severity, REFUSE, WARN
 from persem_ros.preflight.sample import Sample
 from persem_ros.settings import config_file
-from persem_ros.settings.config import Config
+from persem_ros.settings.config import Config, frame_of
 
 log = logging.getLogger(__name__)
 # What a check takes holds for those after it: frames before whatever needs a pose.
 CHECKS: tuple[Callable[[Sample], Iterator[Finding]], ...] = (
-    labels.check, depth.check, frames.check, poses.check, stamps.check,
+    labels.check, depth.check, confidence.check, frames.check, poses.check, stamps.check,
     lag.check)
 # What compares frames with each other: only where nothing was refused before.
-FITS: tuple[Callable[[Sample], Iterator[Finding]], ...] = (depth.check_fit,)
+FITS: tuple[Callable[[Sample], Iterator[Finding]], ...] = (
+    poses.check_reading, depth.check_fit)
 
 
 def look(sample: Sample) -> list[Finding]:
@@ -39,10 +41,10 @@ def look(sample: Sample) -> list[Finding]:
     """
     found: list[Finding] = []
     for view in sample.views:
-        view.given = sample.config.camera.frame
+        view.given = frame_of(sample.config, view.name)
     for check in (*CHECKS, *FITS):
-        if check in FITS and of_severity(found, REFUSE):
-            break
+        if check in FITS and (of_severity(found, REFUSE) or any(map(poses.doubts, found))):
+            break       # what is wrong already makes depth miss depth
         for finding in check(sample):
             if finding in found:
                 continue

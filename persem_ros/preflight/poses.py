@@ -11,14 +11,16 @@ from persem_ros.inputs.decode import messages
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.sync.poses import NO_MOUNT
 from persem_ros.inputs.sync.track import SLACK
+from persem_ros.preflight.depth import is_cloud_of
 from persem_ros.preflight.findings import Finding, NOTE, REFUSE, Remedy, WARN
 from persem_ros.preflight.sample import Sample, Shot, View
 
 TURNED = 10.0, 60.0     # degrees between two views that tell readings apart and still overlap
-PAIRS = 10
+PAIRS, FEW = 10, 5      # compared where nothing says what poses place, and where something does
 WITHIN = 60             # frames between two of a pair
 LOOKED_AT = 300         # frames among which pairs are searched
 DECIDES = 2.0           # times that the worse reading misses by more than the better one
+VISIBLE = 0.01          # relative depth error below which what was said is not doubted
 LEAST = 50              # pixels that have to be compared
 JUMPED = 20.0           # times the usual speed, that are called a jump …
 BY = 1.0                # m … of this at least
@@ -65,11 +67,11 @@ def _mount(view: View, sample: Sample) -> Iterator[Finding]:
         return
     tree, target = poses.tree, sample.config.frames.map
     if tree.connected(target, frame):
-        yield Finding(REFUSE, poses.mount_sentence(frame), (Remedy(
+        yield Finding(REFUSE, poses.mount_sentence(frame, view.frame_setting), (Remedy(
             {'pose.source': 'tf'}, f'takes all from /tf, which leads from {target!r} to '
                                    f'{frame!r}'),))
     else:
-        yield Finding(REFUSE, poses.mount_sentence(frame))
+        yield Finding(REFUSE, poses.mount_sentence(frame, view.frame_setting))
 
 
 def _reading(view: View, sample: Sample) -> Finding:
@@ -97,9 +99,44 @@ def _reading(view: View, sample: Sample) -> Finding:
                    takes={'pose.child_frame': taken})
 
 
-def _residuals(view: View, sample: Sample,
-               children: tuple[str, str]) -> dict[str, tuple[float, int]]:
-    """Return how far depth misses depth if the poses place each child, and the pixels compared."""
+def check_reading(sample: Sample) -> Iterator[Finding]:
+    """Yield that depth speaks against what settings or messages say the poses place."""
+    for view in sample.views:
+        track, frame = view.poses.poses, view.image_frame
+        if sample.live or track is None or 'depth' not in view.topics or is_cloud_of(view):
+            continue
+        given = view.poses.child or frame
+        others = [frame] if given != frame else view.poses.bodies(frame)[:1]
+        if not others or any(sample.config.pose.extrinsic) or \
+                view.poses.tree.chain(given, others[0], None).T is None:
+            continue
+        errors = _residuals(view, sample, (given, others[0]), FEW)
+        view.poses.configure(sample.config.pose)
+        a, b = errors[given][0], errors[others[0]][0]
+        if min(n for _, n in errors.values()) >= LEAST and a >= DECIDES * b and \
+                a - b > VISIBLE and b <= 0.7 * WORST:
+            said = 'pose.child_frame says' if sample.config.pose.child_frame else \
+                f'{view.topics["pose"]} says'
+            yield Finding(WARN, f'{said} that the poses place {given!r}: depth of one frame then '
+                                f'misses that of another by {100 * a:.1f} %, but by '
+                                f'{100 * b:.1f} % if they place {others[0]!r}',
+                          (Remedy({'pose.child_frame': others[0]}),))
+
+
+def doubts(finding: Finding) -> bool:
+    """Return whether a finding is one of check_reading()."""
+    return finding.severity == WARN and any('pose.child_frame' in remedy.settings
+                                            for remedy in finding.remedies)
+
+
+def _residuals(view: View, sample: Sample, children: tuple[str, str],
+               count: int = PAIRS) -> dict[str, tuple[float, int]]:
+    """
+    Return how far depth misses depth if the poses place each child, and the pixels compared.
+
+    At most *count* pairs of frames are read; the buffer of poses keeps the last child.
+
+    """
     stamps = np.unique(view.stamps['depth'])
     stamps = stamps[np.linspace(0, len(stamps) - 1, min(len(stamps), LOOKED_AT)).astype(int)]
     known: dict[str, dict[int, NDArray[np.float64]]] = {}
@@ -108,9 +145,9 @@ def _residuals(view: View, sample: Sample,
         placed = {int(s): view.poses.lookup(int(s), view.image_frame).T for s in stamps}
         known[child] = {s: T for s, T in placed.items() if T is not None}
     # A gimbal may turn the views under one reading alone.
-    pairs = max((turned(known[child]) for child in children), key=len)
+    pairs = max((turned(known[child], count) for child in children), key=len)
     pairs = [pair for pair in pairs if all(set(pair) <= known[child].keys() for child in children)]
-    shots = view.shots({stamp for pair in pairs for stamp in pair})
+    shots = view.shots({stamp for pair in pairs for stamp in pair}, sample.config)
     return {child: _residual(known[child], pairs, shots) for child in children}
 
 
@@ -127,8 +164,8 @@ def _residual(known: Mapping[int, NDArray[np.float64]], pairs: Sequence[Move],
     return (float(errors.mean()) if errors.size else WORST), errors.size
 
 
-def turned(poses: dict[int, NDArray[np.float64]]) -> list[Move]:
-    """Return pairs of stamps whose views differ by TURNED degrees, few frames apart."""
+def turned(poses: dict[int, NDArray[np.float64]], count: int = PAIRS) -> list[Move]:
+    """Return *count* pairs of stamps whose views differ by TURNED degrees, few frames apart."""
     stamps = sorted(poses)
     R = np.array([poses[stamp][:3, :3] for stamp in stamps]).reshape(-1, 3, 3)
     found: list[Move] = []
@@ -139,7 +176,7 @@ def turned(poses: dict[int, NDArray[np.float64]]) -> list[Move]:
         fitting = np.flatnonzero((angle >= TURNED[0]) & (angle <= TURNED[1]))
         if fitting.size:
             found.append((stamps[i], stamps[i + 1 + int(fitting[0])]))
-    chosen = np.linspace(0, len(found) - 1, min(len(found), PAIRS)).astype(int)
+    chosen = np.linspace(0, len(found) - 1, min(len(found), count)).astype(int)
     return [found[k] for k in chosen]
 
 

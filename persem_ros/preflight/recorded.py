@@ -6,6 +6,7 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.inputs import names
 from persem_ros.inputs.assemble import Assembler
 from persem_ros.inputs.decode import messages
@@ -16,7 +17,7 @@ from persem_ros.inputs.recording.stamps import stamp_of
 from persem_ros.inputs.recording.topics import Choice, first_messages, INFO, POINTS
 from persem_ros.inputs.sync.poses import PoseBuffer
 from persem_ros.preflight.sample import Sample, Shot, View
-from persem_ros.settings.config import Config
+from persem_ros.settings.config import Config, frame_of
 from persem_ros.settings.legend import load_legend
 
 FIRSTS = 3              # messages of a role that are decoded to judge it
@@ -24,7 +25,8 @@ FOREVER = 1e9           # s
 TREE = 100              # messages of a topic with transforms that tell its frames
 MOST = 200_000          # messages of a long recording that are looked at
 HEADS = 'heads'         # the role of those that keep the heads of a topic's messages
-IMAGES, POSE, TF = ('labels', 'depth', 'camera_info'), 'pose', 'tf'
+IMAGES = ('labels', 'depth', 'camera_info', 'confidence', 'depth_confidence')
+POSE, TF = 'pose', 'tf'
 
 
 def sample(source: Source, choice: Choice, config: Config) -> Sample:
@@ -57,18 +59,21 @@ def sample(source: Source, choice: Choice, config: Config) -> Sample:
         tf = choice.tf_of(name)
         if POSE in chosen:
             roles.setdefault(chosen[POSE].name, []).extend(((HEADS, heads[POSE]), (POSE, poses)))
-            tf = tf if _moves(source, config, chosen, poses) else []
+            tf = tf if _moves(source, config, name, chosen, poses) else []
         for topic in tf:
             roles.setdefault(topic.name, []).append((TF, poses))
     _read(source, roles)
-    views = [_view(source, config, name, chosen, *found[name])
+    views = [_view(source, name, chosen, *found[name])
              for name, chosen in choice.cameras.items()]
     trees = {name: _trees(source, choice.tf_of(name), choice.tf_static_of(name))
              for name in choice.cameras}
-    return Sample(config, views, info_frames=_info_frames(source), legend=legend, tf=trees)
+    infos = _infos(source)
+    return Sample(config, views, legend=legend, tf=trees,
+                  info_frames={name: messages.frame_id(msg) for name, msg in infos.items()},
+                  stereo={name: -float(msg.p[3]) for name, msg in infos.items() if msg.p[3] < 0})
 
 
-def _moves(source: Source, config: Config, chosen: Mapping[str, TopicInfo],
+def _moves(source: Source, config: Config, camera: str, chosen: Mapping[str, TopicInfo],
            statics: PoseBuffer) -> bool:
     """Return whether static transforms do not lead from map to poses, or from these to images."""
     image = chosen.get('depth', chosen['labels']).name
@@ -79,7 +84,7 @@ def _moves(source: Source, config: Config, chosen: Mapping[str, TopicInfo],
         _, _, parent, child = messages.pose(firsts[chosen[POSE].name])
     except BadMessage:
         return True
-    frame = config.camera.frame or messages.frame_id(firsts[image])
+    frame = frame_of(config, camera) or messages.frame_id(firsts[image])
     child = statics.child or child
     if parent not in ('', config.frames.map):
         return True
@@ -119,22 +124,25 @@ def _read(source: Source, roles: Mapping[str, list[tuple[str, Any]]]) -> None:
                 continue
 
 
-def _view(source: Source, config: Config, name: str, chosen: Mapping[str, TopicInfo],
+def _view(source: Source, name: str, chosen: Mapping[str, TopicInfo],
           found: Mapping[str, list[tuple[int, Head]]], poses: PoseBuffer) -> View:
     firsts = {role: list(_some(source, rows)) for role, rows in found.items()}
 
-    def shots(stamps: Iterable[int]) -> dict[int, Shot]:
+    def shots(stamps: Iterable[int], config: Config) -> dict[int, Shot]:
         wanted = set(stamps)
         if 'depth' not in chosen or chosen['depth'].msgtype == POINTS:
             return {}
         return _shots(source, config, firsts['camera_info'],
                       [row for row in found['depth'] if row[0] in wanted])
 
+    def within(role: str, kept: NDArray[np.bool_]) -> list[Any]:
+        return list(_some(source, [row for row, keep in zip(found[role], kept) if keep]))
+
     return View(name, {role: topic.name for role, topic in chosen.items()}, firsts,
                 {role: np.array([stamp for stamp, _ in rows], np.int64)
                  for role, rows in found.items()},
                 {role: np.array([head.time for _, head in rows], np.int64)
-                 for role, rows in found.items()}, poses, shots)
+                 for role, rows in found.items()}, poses, shots, within)
 
 
 def _some(source: Source, rows: list[tuple[int, Head]]) -> Iterator[Any]:
@@ -146,10 +154,10 @@ def _some(source: Source, rows: list[tuple[int, Head]]) -> Iterator[Any]:
             continue
 
 
-def _info_frames(source: Source) -> dict[str, str]:
-    """Return the frame of the first camera info of every topic that has one."""
+def _infos(source: Source) -> dict[str, Any]:
+    """Return the first camera info of every topic that has one."""
     names = {topic.name for topic in source.topics if topic.msgtype == INFO and topic.count}
-    return {name: messages.frame_id(msg) for name, msg in first_messages(source, names).items()}
+    return first_messages(source, names)
 
 
 def _shots(source: Source, config: Config, infos: list[Any],

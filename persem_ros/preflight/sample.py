@@ -33,7 +33,7 @@ class Shot(NamedTuple):
     camera: Camera
 
 
-def no_shots(stamps: Iterable[int]) -> dict[int, Shot]:
+def no_shots(stamps: Iterable[int], config: Config) -> dict[int, Shot]:
     """Return no depth at all: a node keeps no images for checks."""
     return {}
 
@@ -59,9 +59,12 @@ class View:
     poses : PoseBuffer
         All poses and transforms of the camera's robot.
     shots : callable
-        shots(stamps) reads the depth images with these stamps: {stamp: Shot}. Of a node: none.
+        shots(stamps, config) reads the depth images with these stamps: {stamp: Shot}. Of a node:
+        none.
+    within : callable
+        within(role, kept) gives the firsts of a role among the messages of a mask (N,).
     given : str
-        The setting camera.frame.
+        The setting camera.frame, or that of the camera.
 
     """
 
@@ -71,7 +74,8 @@ class View:
     stamps: Mapping[str, Stamps]
     times: Mapping[str, Stamps]
     poses: PoseBuffer
-    shots: Callable[[Iterable[int]], dict[int, Shot]] = no_shots
+    shots: Callable[[Iterable[int], Config], dict[int, Shot]] = no_shots
+    within: Callable[[str, NDArray[np.bool_]], list[Any]] = lambda role, kept: []
     given: str = ''
 
     def frame(self, role: str) -> str:
@@ -85,6 +89,11 @@ class View:
     def image_frame(self) -> str:
         """Return the frame whose place in the map is looked up."""
         return self.frame('depth') or self.frame('labels') or self.frame('camera_info')
+
+    @property
+    def frame_setting(self) -> str:
+        """Return the name of the setting that says which frame its images are in."""
+        return f'cameras.{self.name}.frame' if self.name else 'camera.frame'
 
     def setting(self, role: str) -> str:
         """Return the name of the setting that says which topic has a role."""
@@ -106,6 +115,8 @@ class Sample:
         Whether a node looks, which has seen the past only and chooses nothing by itself.
     info_frames : dict of str to str
         The frames of all topics with camera infos, by topic, used or not.
+    stereo : dict of str to float
+        Focal length x baseline, pixels x metres, of the topics with camera infos that say it.
     legend : Legend, optional
         Whose colours the label images may have.
     tf : dict of str to dict of str to set of str
@@ -117,5 +128,6 @@ class Sample:
     views: list[View]
     live: bool = False
     info_frames: Mapping[str, str] = field(default_factory=dict)
+    stereo: Mapping[str, float] = field(default_factory=dict)
     legend: Legend | None = None
     tf: Mapping[str, Mapping[str, set[str]]] = field(default_factory=dict)

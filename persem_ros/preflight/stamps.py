@@ -10,6 +10,7 @@ from persem_ros.preflight.lag import distances
 from persem_ros.preflight.sample import Sample, Stamps, View
 
 NAMES = {'labels': 'label images', 'depth': 'depth images', 'pose': 'poses'}
+NEEDED = 'depth', 'confidence', 'depth_confidence'
 SOME = 0.1              # of the frames: fewer without a pose are said after the mapping
 MOST = 500              # frames whose pose is looked up
 OFF = 1.0               # s between two clocks, by that of the recorder
@@ -44,15 +45,18 @@ def _zeros(view: View) -> Iterator[Finding]:
 
 def _overlap(view: View, sample: Sample) -> Iterator[Finding]:
     """Yield the topics whose stamps are of another time than those of the label images."""
-    labels = view.stamps['labels']
-    for role in ('depth', 'pose'):
+    labels = view.stamps['labels'] + round(sample.config.sync.offset_labels * 1e9)
+    depth = view.stamps.get('depth', np.zeros(0, np.int64))
+    # Poses are asked for when depth was measured, also where the labels' stamps are others.
+    for role, name, own in (('depth', 'label images', labels), (
+            'pose', *(('depth images', depth) if len(depth) else ('label images', labels)))):
         other = view.stamps.get(role, np.zeros(0, np.int64))
-        if not len(labels) or not len(other) or sample.live:
+        if not len(own) or not len(other) or sample.live:
             continue
-        gap = max(int(other.min() - labels.max()), int(labels.min() - other.max()))
+        gap = max(int(other.min() - own.max()), int(own.min() - other.max()))
         slack = max(sample.config.sync.tolerance, sample.config.pose.max_gap)
         if gap > slack * 1e9 and not (role == 'depth' and fits_shifted(view, sample)):
-            yield Finding(REFUSE, f'the label images are stamped {_span(labels)}, the '
+            yield Finding(REFUSE, f'the {name} are stamped {_span(own)}, the '
                                   f'{NAMES[role]} on {view.topics.get(role, "/tf")} '
                                   f'{_span(other)}, {gap / 1e9:.1f} s apart: they are of '
                                   'different clocks or times (use_sim_time everywhere, chrony, '
@@ -124,8 +128,11 @@ def paired(view: View, sample: Sample) -> Stamps:
     if not len(labels) or not len(view.stamps['depth']):
         return labels[:0]
     tolerance = round(sample.config.sync.tolerance * 1e9)
-    found: Stamps = labels[np.abs(distances(labels, view.stamps['depth'])) <= tolerance]
-    return found
+    for role in [role for role in NEEDED if role in view.topics]:
+        if not len(labels) or not len(view.stamps[role]):
+            return labels[:0]
+        labels = labels[np.abs(distances(labels, view.stamps[role])) <= tolerance]
+    return labels
 
 
 def usable(view: View, sample: Sample) -> tuple[int, int]:

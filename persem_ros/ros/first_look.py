@@ -6,21 +6,21 @@ from typing import Any
 
 import numpy as np
 
-from persem_ros.inputs.decode import messages
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.intake import INFO, POSE, Station
-from persem_ros.inputs.sync.pairing import DEPTH, LABELS
+from persem_ros.inputs.sync.pairing import CONFIDENCE, DEPTH, DEPTH_CONFIDENCE, LABELS
 from persem_ros.preflight.findings import Finding, NOTE, REFUSE
 from persem_ros.preflight.look import look
 from persem_ros.preflight.sample import Sample, View
 from persem_ros.ros.inbox import Item
 from persem_ros.ros.inputs import Input
 from persem_ros.settings.config import Config
+from persem_ros.settings.legend import Legend
 
 log = logging.getLogger(__name__)
 FIRSTS = 3          # messages of a role that are decoded to judge it
 ENOUGH = 20         # label images whose stamps are compared
-ROLES = (LABELS, DEPTH, INFO, POSE)
+ROLES = (LABELS, DEPTH, CONFIDENCE, DEPTH_CONFIDENCE, INFO, POSE)
 
 
 class FirstLook:
@@ -33,6 +33,8 @@ class FirstLook:
         The cameras, by name.
     decode : callable
         decode(data, typename) gives a message.
+    legend : callable
+        legend() gives the Legend in force.
 
     Attributes
     ----------
@@ -43,9 +45,10 @@ class FirstLook:
 
     """
 
-    def __init__(self, stations: dict[str, Station], decode: Callable[[bytes, str], Any]) -> None:
+    def __init__(self, stations: dict[str, Station], decode: Callable[[bytes, str], Any],
+                 legend: Callable[[], Legend]) -> None:
         """Begin to collect."""
-        self._stations, self._decode = stations, decode
+        self._stations, self._decode, self._legend = stations, decode, legend
         self._seen: dict[Input, list[Item]] = {}
         self.findings: list[Finding] = []
         self.done = False
@@ -66,7 +69,7 @@ class FirstLook:
             return
         self.done = True
         views = [self._view(name, station, inputs) for name, station in self._stations.items()]
-        self.findings = look(Sample(config, views, live=True))
+        self.findings = look(Sample(config, views, live=True, legend=self._legend()))
         self._seen.clear()
         for finding in self.findings:
             say = {REFUSE: log.error, NOTE: log.info}.get(finding.severity, log.warning)
@@ -78,7 +81,7 @@ class FirstLook:
     def _view(self, name: str, station: Station, inputs: list[Input]) -> View:
         own = {one.role: one for one in inputs
                if one.role in ROLES and (station in one.takers or station.poses in one.takers)}
-        items = {role: self._seen[one] for role, one in own.items()}
+        items = {role: self._seen[own[role]] if role in own else [] for role in ROLES}
         stamps = {role: [(stamp, item.arrival) for item in found
                          if (stamp := item.input.stamp_of(item.data)) is not None]
                   for role, found in items.items()}
@@ -94,7 +97,6 @@ class FirstLook:
         for item in items[:FIRSTS]:
             try:
                 found.append(self._decode(item.data, item.kind))
-                messages.stamp_ns(found[-1])
             except BadMessage:
                 continue
         return found

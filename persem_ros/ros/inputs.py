@@ -6,7 +6,8 @@ import time
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TransformStamped
 from nav_msgs.msg import Odometry, Path
 from persem_ros.errors import PersemError
-from persem_ros.inputs.decode import messages
+from persem_ros.inputs.decode import px4
+from persem_ros.inputs.decode.messages import BadMessage, header
 from persem_ros.inputs.intake import (
     INFO, LABELS_INFO, LEGEND, ORDER, POSE, TF, TRAJECTORY)
 from persem_ros.inputs.recording.topics import roles_of
@@ -14,7 +15,7 @@ from persem_ros.inputs.sync.pairing import (
     COLOR, CONFIDENCE, DEPTH, DEPTH_CONFIDENCE, LABELS)
 from persem_ros.inputs.sync.poses import PoseBuffer
 from persem_ros.ros.inbox import Item
-from persem_ros.ros.messages import LabelInfo
+from persem_ros.ros.messages import DisparityImage, INSTALL, LabelInfo, VehicleOdometry
 from persem_ros.settings.config import Labels, Topics, topics_of
 from rclpy.event_handler import SubscriptionEventCallbacks, UnsupportedEventTypeError
 from rclpy.qos import (
@@ -27,7 +28,8 @@ TF_STATIC = 'tf_static'
 OPTIONAL = (COLOR, TF_STATIC, LABELS_INFO, LEGEND, TRAJECTORY)     # nobody need publish them
 QOS_OF = {CONFIDENCE: LABELS, DEPTH_CONFIDENCE: DEPTH}
 POSES = {cls.__name__: cls for cls in (PoseStamped, PoseWithCovarianceStamped, Odometry,
-                                       TransformStamped)}
+                                       TransformStamped, VehicleOdometry) if cls}
+SHOWN = 4               # topics in a sentence
 SMALL_FACTOR = 50       # poses and camera infos kept per image: they outlast a busy second or ten
 
 
@@ -94,11 +96,13 @@ class Input:
         """Return the stamp of one of its messages in ns, None where it cannot be read."""
         if self.role == LEGEND:
             return None
+        if self.chosen is not None and type_name(self.choices[self.chosen][1]) == px4.TYPE:
+            return px4.stamp_of(data)
         if self.role in (TF, TF_STATIC):        # a sequence, whose first item has the header
             data = data[:4] + data[8:]
         try:
-            return messages.header(data)[0]
-        except messages.BadMessage:
+            return header(data)[0]
+        except BadMessage:
             return None
 
     def note(self, data):
@@ -196,10 +200,13 @@ class Inputs:
         """Return what stands between an input and its publishers, '' for nothing."""
         everybody = self._node.get_publishers_info_by_topic(one.listened)
         if not everybody:
-            return 'no publisher'
+            return f'no publisher{self._elsewhere(one)}'
         fitting = self.publishers(one)
         if not fitting:
-            return f'published as {everybody[0].topic_type}'
+            kind = everybody[0].topic_type
+            known = kind in INSTALL and kind not in map(type_name, [cls for _, cls in one.choices])
+            return f'published as {kind}' + (
+                f', whose package is not installed: {INSTALL[kind]}' if known else '')
         if not one.reliability:
             return 'not subscribed yet'
         profile = _profile(one.reliability, one.depth)
@@ -207,6 +214,23 @@ class Inputs:
         if all(verdict == QoSCompatibility.ERROR for verdict, _ in reasons):
             return f'QoS does not fit ({reasons[0][1].strip("; ")}); see qos.{one.role}'
         return ''
+
+    def _elsewhere(self, one):
+        """Return where a topic's type is published, and what to type; '' where nowhere."""
+        own = f'{self._node.get_fully_qualified_name()}/'
+        taken = {other.listened for other in self.all if other.count}
+        kinds = {type_name(cls) for _, cls in one.choices}
+        found = sorted(name for name, types in self._node.get_topic_names_and_types()
+                       if kinds & set(types) and name not in taken and not name.startswith(own)
+                       and self._node.count_publishers(name))
+        if one.role == TF:
+            found = [name for name in found if name.endswith('/tf')]
+        if not found:
+            return ''
+        flag = f'-p topics.tf:={found[0]}' if one.role == TF else \
+            f'-r {one.name}:={found[0]}'
+        return f' ({", ".join(found[:SHOWN])} {"is" if len(found) == 1 else "are"} of its type: ' \
+               f'{flag})'
 
     def describe(self):
         """Return what is listened to, under the names after remapping, in one line."""
@@ -223,6 +247,9 @@ class Inputs:
             if pose.source == 'tf':
                 self._add(TF, name, [buffer], [TFMessage], qos.pose, small)
             else:
+                if pose.type != 'auto' and pose.type not in POSES:
+                    raise PersemError(f'pose.type: px4_msgs is not installed, which {pose.type} '
+                                      f'is of; {INSTALL[px4.TYPE]}')
                 kinds = [POSES[pose.type]] if pose.type in POSES else list(POSES.values())
                 self._add(POSE, name, [buffer], kinds, qos.pose, small)
         roles = roles_of(self._config, topics)
@@ -233,6 +260,8 @@ class Inputs:
             camera, self._buffers[name], colors, needed)
         for role in (LABELS, *needed, *colors):
             kinds = [PointCloud2] if roles[role] == 'points' else [Image, CompressedImage]
+            if role == DEPTH and kinds[0] is Image and DisparityImage:
+                kinds.append(DisparityImage)
             self._add(role, getattr(topics, roles[role]), [station], kinds,
                       getattr(qos, QOS_OF.get(role, role)), qos.queue)
         for role in [role for role in (INFO, LABELS_INFO) if role in roles]:

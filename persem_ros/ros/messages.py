@@ -8,10 +8,24 @@ from persem_ros.outputs.recording.messages import DATATYPES, PIXELS
 from sensor_msgs.msg import Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
+# Not part of every installation.
 try:
     from vision_msgs.msg import LabelInfo, VisionClass
-except ImportError:         # not part of every installation
+except ImportError:
     LabelInfo = None
+try:
+    from px4_msgs.msg import VehicleOdometry
+except ImportError:
+    VehicleOdometry = None
+try:
+    from stereo_msgs.msg import DisparityImage
+except ImportError:
+    DisparityImage = None
+# What to do where a topic has a type whose package is not installed.
+INSTALL = {'px4_msgs/msg/VehicleOdometry':
+           'put https://github.com/PX4/px4_msgs, of the release of your PX4, into the workspace, '
+           'colcon build, source it again',
+           'stereo_msgs/msg/DisparityImage': 'sudo apt install ros-jazzy-stereo-msgs'}
 
 
 def header(stamp: int, frame_id: str) -> Header:

@@ -79,7 +79,7 @@ class Mapper(Node):
                   for name in cameras}
         self.inputs = Inputs(self, config, self.intake, self.inbox)
         self.worker.connect(self.inbox, self.intake, images, self.maps, self.inputs.all,
-                            FirstLook(self.inputs.stations, decode))
+                            FirstLook(self.inputs.stations, decode, lambda: self.legend))
         self.triggers = Services(self, self.worker, self.map_file)
         self._clicked = ClickedPoint(self)
         self._grid = GridOutputs(self)

@@ -177,7 +177,7 @@ class Pose:
     type: str = setting(    # noqa: A003
         'auto', 'type of the pose topic',
         choices=('auto', 'PoseStamped', 'PoseWithCovarianceStamped', 'Odometry',
-                 'TransformStamped'), live=False)
+                 'TransformStamped', 'VehicleOdometry'), live=False)
     child_frame: str = setting(
         '', 'frame that the poses place in the map; empty: as the messages say', live=False)
     max_gap: float = setting(0.5, 'widest gap between two poses that is interpolated', 's',
@@ -189,7 +189,8 @@ class Pose:
         'stamp serves until the next, whatever its age; empty: none', live=False)
     extrinsic: tuple[Any, ...] = setting(
         (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-        'camera in the child frame of the pose: x y z qx qy qz qw; all 0: from /tf_static',
+        'camera in the child frame of the pose (pose.source=tf: in the frame of the images): x y '
+        'z qx qy qz qw; all 0: from /tf_static',
         live=False)
     max_ahead: float = setting(
         1.5, 'poses that are farther ahead of a depth image when it arrives are of another clock: '
@@ -203,7 +204,7 @@ class Sync:
     tolerance: float = setting(0.02, 'largest difference of stamps in a pair', 's', 0.0, 60.0)
     offset_labels: float = setting(
         0.0, 'added to the stamps of label images: negative where they are stamped when the '
-        'network was done', 's', -3600.0, 3600.0, live=False)
+        'network was done', 's', -1e9, 1e9, live=False)
     max_wait: float = setting(1.0, 'how long a frame waits for what is missing', 's', 0.0, 600.0)
     hold: float = setting(
         0.2, 'how long a frame waits for earlier ones of other cameras (node)', 's', 0.0, 60.0)
@@ -259,11 +260,13 @@ class Depth:
 
     scale: float = setting(
         0.0, 'metres per unit of the depth images, 0.001 for millimetres; 0: by encoding (16UC1 '
-        'and mono16: millimetres, 32FC1 and 64FC1: metres)', 'm', 0.0, 1e3, live=False)
+        'and mono16: millimetres, 32FC1 and 64FC1: metres)', 'm', 0.0, 1e6, live=False)
     kind: str = setting(
         'z', 'what is measured: z, along the optical axis, or ray, the radial distance from the '
-        'camera (AirSim DepthPerspective, Isaac Sim distance_to_camera, Hypersim)',
-        choices=('z', 'ray'), live=False)
+        'camera (AirSim DepthPerspective, Isaac Sim distance_to_camera, Hypersim), or disparity, '
+        'pixels between two rectified images: metres are depth.scale / value, with depth.scale '
+        'the focal length (pixels) x the baseline (m)', choices=('z', 'ray', 'disparity'),
+        live=False)
     source: str = setting(
         'image', 'where depth comes from: image, from topics.depth, or cloud, from the LiDAR '
         'cloud of topics.points, projected into the label images', choices=('image', 'cloud'),
@@ -425,9 +428,10 @@ class Config:
     ema: Ema = Ema()
     labels: Labels = Labels()
     cameras: tuple[Any, ...] = setting(
-        ('',), 'names of several cameras; each has cameras.<name>.topics.*; empty: one camera',
-        live=False)
+        ('',), 'names of several cameras; each has cameras.<name>.topics.* and '
+        'cameras.<name>.frame; empty: one camera', live=False)
     camera_topics: tuple = ()   # ((name, Topics), ...), filled from cameras.<name>.topics.*
+    camera_frames: tuple = ()   # ((name, str), ...), filled from cameras.<name>.frame
 
 
 def settings(
@@ -447,8 +451,10 @@ def settings(
         elif item.metadata:
             yield f'{prefix}{item.name}', value, item.metadata
     if isinstance(config, Config):
+        frames, meta = dict(config.camera_frames), CameraSettings.__dataclass_fields__['frame']
         for camera, topics in config.camera_topics:
             yield from settings(topics, f'cameras.{camera}.topics.')
+            yield f'cameras.{camera}.frame', frames.get(camera, ''), meta.metadata
 
 
 def updated(config: Config, values: dict[str, Any]) -> Config:
@@ -464,7 +470,9 @@ def updated(config: Config, values: dict[str, Any]) -> Config:
     """
     if 'cameras' in values:
         config = replace(config, cameras=_checked('cameras', values['cameras'], ('',), {}))
-    config = replace(config, camera_topics=_camera_topics(config))
+    frames = dict(config.camera_frames)
+    config = replace(config, camera_topics=_camera_topics(config), camera_frames=tuple(
+        (camera, frames.get(camera, '')) for camera in config.cameras if camera))
     known = {name: (value, meta) for name, value, meta in settings(config)}
     for name, value in values.items():
         if name == 'cameras':
@@ -490,6 +498,11 @@ def nearest(name: str, known: Sequence[str] | dict[str, Any]) -> str:
 def topics_of(config: Config, camera: str = '') -> Topics:
     """Return the Topics of one camera ('' where there is only one)."""
     return dict(config.camera_topics).get(camera, config.topics)
+
+
+def frame_of(config: Config, camera: str = '') -> str:
+    """Return the frame that the settings say a camera's images are in, '' for none."""
+    return str(dict(config.camera_frames).get(camera, config.camera.frame))
 
 
 def _camera_topics(config: Config) -> tuple[Any, ...]:
@@ -551,6 +564,13 @@ def _check_together(config: Config) -> None:
     if config.refine.neighbours not in (6, 18, 26):
         raise PersemError(
             f'refine.neighbours: expected 6, 18 or 26, got {config.refine.neighbours}')
+    if config.depth.kind == 'disparity' and not config.depth.scale:
+        raise PersemError('depth.kind: disparity needs depth.scale, the focal length (pixels) x '
+                          'the baseline (m) of the stereo camera')
+    named = [camera for camera in config.cameras if camera]
+    if config.camera.frame and named:
+        raise PersemError('camera.frame: of several cameras each has a frame of its own, expected '
+                          f'cameras.{named[0]}.frame (cameras: {", ".join(named)})')
     if config.memory.min_depth >= config.memory.max_depth:
         raise PersemError(
             f'memory.min_depth: expected less than memory.max_depth '
@@ -563,7 +583,10 @@ def _with(
     """Return *config* with the setting at *path* replaced."""
     head, *rest = path
     if head == 'cameras' and rest:
-        camera, _, item = rest
+        camera, _, item = (*rest, '')[:3]
+        if not item:
+            frames = dict(config.camera_frames) | {camera: value}
+            return replace(config, camera_frames=tuple(frames.items()))
         topics = tuple((name, replace(old, **{item: value}) if name == camera else old)
                        for name, old in config.camera_topics)
         return replace(config, camera_topics=topics)

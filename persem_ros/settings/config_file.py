@@ -187,7 +187,7 @@ def to_markdown() -> str:
         lines.append(f'| `{name}` | {default} | {meta["unit"]} | {span(meta)} | {text}{fixed} |')
     lines += ['', 'With several cameras (`cameras: [front, down]`) each has its own',
               '`cameras.<name>.topics.*`, by default the shared name below its own:',
-              '`front/semantic/image`.']
+              '`front/semantic/image`, and `cameras.<name>.frame` in place of `camera.frame`.']
     return '\n'.join(lines) + '\n'
 
 

@@ -84,7 +84,8 @@ def test_colours_beside_those_of_the_legend_get_the_nearest_and_are_said():
 
 def test_colours_of_nobody_knows_what_are_refused_with_what_to_type():
     rgb = np.random.default_rng(0).integers(0, 255, (4, 4, 3)).astype(np.uint8)
-    for read, legend, words in ((reader(), None, 'labels.legend=FILE'), (reader(), TOWN, 'g or b'),
+    for read, legend, words in ((reader(), None, 'labels.legend=FILE'),
+                                (reader(), TOWN, 'the legend has'),
                                 (reader(channel='legend'), None, 'labels.legend'),
                                 (reader(channel='a'), None, 'without channel a')):
         with pytest.raises(BadMessage, match=words):
@@ -133,3 +134,37 @@ def test_another_aspect_ratio_is_refused_unless_something_fits():
     assert fit.matching((24, 32), (12, 16), 'crop') is None
     with pytest.raises(BadMessage, match='labels.fit=stretch'):
         fit.matching((32, 32), (24, 32), 'exact')
+
+
+def test_a_legend_that_fits_no_colour_is_told_from_none():
+    red = np.zeros((4, 4, 3), np.uint8)
+    red[..., 0], red[0, :, 1] = 200, 7
+    with pytest.raises(BadMessage) as fault:
+        reader()(image(red, 'rgb8'), TOWN)
+    first = TOWN.classes[0]
+    assert '0 % of the pixels have a colour of the legend' in str(fault.value)
+    assert 'are (200, 0, 0), (200, 7, 0), the legend has' in str(fault.value)
+    assert f'{tuple(first.color)} {first.name}' in str(fault.value)
+    with pytest.raises(BadMessage) as fault:
+        reader()(image(red, 'rgb8'))
+    assert 'the legend has' not in str(fault.value)
+
+
+def test_colours_in_the_other_order_or_of_a_shipped_legend_are_recognised():
+    colors = TOWN.colors(np.array(TOWN.ids)[IDS])
+    with pytest.raises(BadMessage, match='red and blue in the other order they fit'):
+        reader()(image(colors[..., ::-1], 'rgb8'), TOWN)
+    with pytest.raises(BadMessage, match='those of --set labels.legend=town'):
+        reader()(image(colors, 'rgb8'), load_legend('cityscapes'))
+    with pytest.raises(BadMessage, match='--set labels.legend=town'):
+        reader()(image(colors, 'rgb8'))
+
+
+def test_one_channel_of_a_legends_colours_is_no_id():
+    read, colors = reader(channel='r'), TOWN.colors(np.array(TOWN.ids)[IDS])
+    assert read.colours(image(colors, 'rgb8'), TOWN) == ''
+    assert read.colours(image(colors, 'rgb8')) == 'town'
+    assert read.colours(image(planes(IDS, 0, 3), 'rgb8'), TOWN) is None
+    assert read.colours(image(np.repeat(IDS[..., None], 3, 2).astype('u1'), 'rgb8')) is None
+    mostly = planes(np.where(np.arange(2000).reshape(40, 50) < 9, 7, 0), 0, 3)
+    assert read.colours(image(mostly, 'rgb8'), TOWN) is None        # black is in every legend

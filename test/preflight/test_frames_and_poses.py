@@ -370,3 +370,64 @@ def test_a_gimbal_whose_poses_are_unsaid_is_tried_both_ways(tmp_path):
     with pytest.raises(PersemError, match=r'by [\d.]+ % and [\d.]+ %\): --set pose.child_frame='):
         looked(tmp_path / 'bag')
     assert len(looked(tmp_path / 'bag', pose__child_frame='base_link')[0]) == 20
+
+
+@pytest.mark.parametrize('kind, settings, said', [
+    ('PoseStamped', {'pose__child_frame': 'base_link'}, 'pose.child_frame says'),
+    ('Odometry', {}, '/pose says')])
+def test_what_is_said_of_the_poses_and_depth_contradicts(tmp_path, caplog, kind, settings, said):
+    """Somebody says that they place the body, and they are the camera's."""
+    with RecordingWriter(tmp_path / 'bag') as out:
+        out.tf(bags.stamp(0), 'base_link', 'camera', DOWN, static=True)
+        for i in range(20):
+            out.pose('pose', bags.stamp(i), 'map', swaying(i) @ DOWN, kind, 'base_link')
+            images(out, i, swaying(i) @ DOWN)
+    looked(tmp_path / 'bag', **settings)
+    assert said in caplog.text and '--set pose.child_frame=camera' in caplog.text
+    assert len(caplog.records) == 1         # nothing else is doubted for the same reason
+    caplog.clear()
+    frames, _ = looked(tmp_path / 'bag', pose__child_frame='camera')
+    np.testing.assert_allclose(frames[3].T_map_camera, swaying(3) @ DOWN, atol=1e-9)
+    assert not caplog.text
+
+
+def test_each_of_several_cameras_has_a_frame(tmp_path):
+    """Images that name no frame, of two cameras on one body."""
+    side = DOWN @ turned(0, 0, 90, (0, 0.2, 0))
+    mounts = {'front': DOWN, 'side': side}
+    with RecordingWriter(tmp_path / 'bag') as out:
+        for name, mount in mounts.items():
+            out.tf(bags.stamp(0), 'base_link', f'{name}_optical', mount, static=True)
+        for i in range(6):
+            out.pose('pose', bags.stamp(i), 'map', swaying(i), 'Odometry', 'base_link')
+            for name, mount in mounts.items():
+                at = bags.stamp(i)
+                out.camera_info(f'{name}/depth/camera_info', at, '', W, H, K)
+                out.image(f'{name}/depth/image', at, '', ground(swaying(i) @ mount), '32FC1')
+                out.image(f'{name}/semantic/image', at, '', np.ones((H, W), np.uint8), 'mono8')
+    cameras = {'cameras': list(mounts)}
+    with pytest.raises(PersemError, match='--set cameras.side.frame=front_optical or --set'):
+        looked(tmp_path / 'bag', **cameras)
+    with pytest.raises(PersemError, match='expected cameras.front.frame'):
+        looked(tmp_path / 'bag', **cameras, camera__frame='front_optical')
+    frames, _ = looked(tmp_path / 'bag', **cameras, cameras__front__frame='front_optical',
+                       cameras__side__frame='side_optical')
+    assert len(frames) == 12
+    for frame in frames:
+        i = round((frame.stamp - bags.START) / bags.STEP)
+        np.testing.assert_allclose(frame.T_map_camera, swaying(i) @ mounts[frame.sensor],
+                                   atol=1e-9)
+
+
+def test_transforms_to_a_frame_that_is_not_optical_are_corrected_by_the_printed_turn(
+        tmp_path, caplog):
+    link = DOWN @ inverse(FLU)
+    with RecordingWriter(tmp_path / 'bag') as out:
+        for i in range(20):
+            out.tf(bags.stamp(i), 'map', 'camera_link', swaying(i) @ link)
+            images(out, i, swaying(i) @ DOWN, ('camera_link',) * 3)
+    looked(tmp_path / 'bag', pose__source='tf')
+    assert "--set 'pose.extrinsic=[0,0,0,-0.5,0.5,-0.5,0.5]'" in caplog.text
+    frames, _ = looked(tmp_path / 'bag', pose__source='tf',
+                       pose__extrinsic=[0, 0, 0, -0.5, 0.5, -0.5, 0.5])
+    np.testing.assert_allclose(frames[3].T_map_camera, swaying(3) @ DOWN, atol=1e-9)

@@ -168,3 +168,35 @@ def test_a_part_of_a_recording(tmp_path, capsys):
     assert f'usable: persem replay {path} --out DIR --start 0.2 --every 2' in out
     status, out = report(capsys, path, '--start', '9')
     assert status == 1 and 'no label image lies within --start 9' in out
+
+
+def test_two_recordings_that_are_one_input(tmp_path, capsys):
+    with RecordingWriter(tmp_path / 'drive') as out:
+        for i in range(4):
+            out.pose('pose', bags.stamp(i), 'map', bags.pose(i))
+            out.camera_info('depth/camera_info', bags.stamp(i), 'camera', 16, 12, bags.K)
+            out.image('depth/image', bags.stamp(i), 'camera', bags.depth(i), '32FC1')
+    with RecordingWriter(tmp_path / 'labels') as out:
+        for i in range(4):
+            out.image('semantic/image', bags.stamp(i), 'camera', bags.labels(i), 'mono16')
+    both = [str(tmp_path / name) for name in ('drive', 'labels')]
+    status, out = report(capsys, *both)
+    assert status == 1 and f'{"+".join(both)} is one input' in out
+    assert out.count('not usable as it is') == 2
+    assert main(['replay', *both, '--out', str(tmp_path / 'out')]) == 1
+    assert f'{"+".join(both)} is one input' in capsys.readouterr().err
+    assert report(capsys, '+'.join(both))[0] == 0
+
+
+def test_labels_stamped_a_day_later_are_brought_back(tmp_path, capsys):
+    day = 86_400 * 10**9
+    with RecordingWriter(tmp_path / 'bag') as out:
+        for i in range(9):
+            out.pose('pose', bags.stamp(i), 'map', bags.pose(i))
+            out.camera_info('depth/camera_info', bags.stamp(i), 'camera', 16, 12, bags.K)
+            out.image('depth/image', bags.stamp(i), 'camera', bags.depth(i), '32FC1')
+            out.image('semantic/image', bags.stamp(i) + day, 'camera', bags.labels(i), 'mono16')
+    status, out = report(capsys, tmp_path / 'bag')
+    assert status == 1 and '--set sync.offset_labels=-86400.000' in out and 'chrony' not in out
+    status, out = report(capsys, tmp_path / 'bag', '--set', 'sync.offset_labels=-86400')
+    assert status == 0 and '9 of 9 label images' in out

@@ -1,5 +1,6 @@
 """px4_msgs/VehicleOdometry in a recording: both versions, both storages, no estimate."""
 
+from collections import Counter
 from contextlib import closing
 
 import bags
@@ -8,8 +9,10 @@ from persem_ros.core.transforms import matrix_to_quaternion
 from persem_ros.errors import PersemError
 from persem_ros.inputs.decode import messages, px4
 from persem_ros.inputs.decode.serialized import Decoder
+from persem_ros.inputs.live import LiveIntake
 from persem_ros.inputs.recording.source import Source
 from persem_ros.inputs.recording.stamps import stamp_of
+from persem_ros.inputs.sync.poses import PoseBuffer
 from persem_ros.outputs.recording.writer import RecordingWriter
 from persem_ros.preflight.look import opened
 from persem_ros.settings.config import Config, updated
@@ -150,3 +153,17 @@ def test_a_time_beyond_all_stamps_is_no_pose():
     with pytest.raises(messages.BadMessage, match='more than stamps can be'):
         messages.pose(late)
     assert stamp_of(px4.TYPE, b'\0\1\0\0' + b'\xff' * 16) is None
+
+
+def test_a_node_takes_them_as_they_come():
+    types, dropped = store(SINCE), Counter()
+    intake = LiveIntake(Config(), Decoder(), dropped, lambda: None)
+    poses = PoseBuffer(Config(), strict=True)
+    poses.add_static(DOWN, 'base_link', 'camera')
+    for i in range(3):
+        data = bytes(types.serialize_cdr(message(types, bags.stamp(i), swaying(i)), px4.TYPE))
+        intake.take('pose', poses, px4.TYPE, i, data)
+    intake.take('pose', poses, px4.TYPE, 3, data[:12])
+    found = poses.lookup(bags.stamp(1), 'camera')
+    assert np.allclose(found.T, swaying(1) @ DOWN, atol=1e-5)
+    assert intake.jumps == 0 and dropped == {'pose: damaged message': 1}

@@ -5,9 +5,11 @@ from contextlib import closing
 import bags
 import numpy as np
 from persem_ros.errors import PersemError
+from persem_ros.inputs.recording.excerpt import Excerpt
 from persem_ros.outputs.recording.writer import RecordingWriter
 from persem_ros.preflight.look import opened
 from persem_ros.settings.config import Config, updated
+from persem_ros.settings.legend import load_legend
 import pytest
 
 
@@ -94,6 +96,15 @@ def test_a_drive_without_labels_says_where_they_may_be(tmp_path):
     assert '--set topics.depth=/camera/depth/image_rect_raw' in str(refused.value)
 
 
+def test_one_channel_of_colours_is_refused(tmp_path):
+    town = load_legend('town')
+    path = written(tmp_path / 'bag', lambda i: town.colors(bags.labels(i)), encodings=(
+        'rgb8', '32FC1'))
+    with pytest.raises(PersemError, match='--set labels.channel=legend --set labels.legend=town'):
+        looked(path, labels__channel='r')
+    assert looked(path, labels__legend='town').labels.max() == 4
+
+
 @pytest.mark.parametrize('factor, refused', [(1000, False), (100000, True)])
 def test_ids_of_instances_are_recognised(tmp_path, caplog, factor, refused):
     def labels(i):
@@ -142,3 +153,77 @@ def test_labels_always_beside_their_depth_are_said(tmp_path, caplog):
     caplog.clear()
     looked(tmp_path / 'bag', sync__offset_labels=-0.012)
     assert not caplog.text
+
+
+def stereo(out, i, D=()):
+    """Write frame i with a disparity image, focal length x baseline = 2.4, in place of depth."""
+    types, at = out.typestore.types, bags.stamp(i)
+    image = out.make.image(at, 'camera', (2.4 / bags.depth(i)).astype(np.float32), '32FC1')
+    roi = types['sensor_msgs/msg/RegionOfInterest'](0, 0, 0, 0, False)
+    out.message('stereo/disparity', at, 'stereo_msgs/msg/DisparityImage',
+                types['stereo_msgs/msg/DisparityImage'](image.header, image, 20.0, 0.12, roi, 0.0,
+                                                        64.0, 0.125))
+    out.message('disparity/image', at, 'sensor_msgs/msg/Image', image)
+    out.pose('pose', at, 'map', bags.pose(i))
+    out.camera_info('depth/camera_info', at, 'camera', 16, 12, bags.K, D,
+                    P=np.hstack([bags.K, [[0], [0], [0]]]))
+    out.camera_info('right/camera_info', at, 'right', 16, 12, bags.K,
+                    P=np.hstack([bags.K, [[-2.4], [0], [0]]]))
+    out.image('semantic/image', at, 'camera', bags.labels(i), 'mono16')
+
+
+def test_a_disparity_image_is_depth(tmp_path, caplog):
+    with RecordingWriter(tmp_path / 'bag') as out:
+        for i in range(5):
+            stereo(out, i, (0.1, 0.0, 0.0, 0.0, 0.0))
+    with pytest.raises(PersemError, match='--set topics.depth=/stereo/disparity'):
+        looked(tmp_path / 'bag')
+    frame = looked(tmp_path / 'bag', topics__depth='stereo/disparity')
+    np.testing.assert_allclose(frame.depth, bags.depth(0), rtol=1e-6)
+    np.testing.assert_allclose(frame.camera.rays[0, 0], [-0.375, -0.275])      # by P, without D
+    assert 'disparities are of rectified images' in caplog.text
+
+
+def test_disparities_without_a_baseline_are_refused_with_what_to_type(tmp_path):
+    with RecordingWriter(tmp_path / 'bag') as out:
+        for i in range(5):
+            stereo(out, i)
+    with pytest.raises(PersemError) as refused:
+        looked(tmp_path / 'bag', topics__depth='disparity/image')
+    flags = '--set depth.kind=disparity --set depth.scale=2.4'
+    assert flags in str(refused.value) and '/right/camera_info' in str(refused.value)
+    frame = looked(tmp_path / 'bag', topics__depth='disparity/image', depth__kind='disparity',
+                   depth__scale=2.4)
+    np.testing.assert_allclose(frame.depth, bags.depth(0), rtol=1e-6)
+    with pytest.raises(PersemError, match='disparity needs depth.scale'):
+        looked(tmp_path / 'bag', depth__kind='disparity')
+
+
+@pytest.mark.parametrize('value, said', [
+    (np.nan, 'no pixel has a depth'), (-2.0, 'no pixel has a depth'),
+    (1000.0, 'depth.scale=0.001, if they are centimetres: --set depth.scale=0.01')])
+def test_depth_of_which_nothing_is_in_range_is_refused(tmp_path, value, said):
+    def depth(i):
+        return np.full((12, 16), value, np.float32)
+
+    with pytest.raises(PersemError, match=said):
+        looked(written(tmp_path / 'bag', depth=depth))
+
+
+def test_depth_that_comes_late_is_no_reason_to_refuse(tmp_path):
+    looked(written(tmp_path / 'bag', depth=lambda i: bags.depth(i) * (i > 3)))
+
+
+def test_camera_infos_of_which_some_do_not_fit_are_said(tmp_path, caplog):
+    with RecordingWriter(tmp_path / 'bag') as out:
+        for i in range(9):
+            out.pose('pose', bags.stamp(i), 'map', bags.pose(i))
+            out.camera_info('depth/camera_info', bags.stamp(i), 'camera', *(
+                (8, 12) if i < 3 else (16, 12)), bags.K)
+            out.image('depth/image', bags.stamp(i), 'camera', bags.depth(i), '32FC1')
+            out.image('semantic/image', bags.stamp(i), 'camera', bags.labels(i), 'mono16')
+    looked(tmp_path / 'bag')
+    assert 'some images on /depth/image cannot be used' in caplog.text
+    caplog.clear()
+    with closing(opened(tmp_path / 'bag', Config(), excerpt=Excerpt(str(bags.stamp(3)), '', 1))):
+        assert 'some images' not in caplog.text     # they are not of the part

@@ -113,9 +113,14 @@ def test_settings_can_be_given_back(finished, recording, tmp_path):
     config = config_file.from_file(finished[0] / 'config.yaml')
     assert config == config_of({'memory.dynamic_labels': [9]})
     assert main(['replay', str(recording), '--out', str(tmp_path / 'again'), '--config',
-                 str(finished[0] / 'config.yaml')]) == 0
+                 str(finished[0] / 'config.yaml'), '--storage', 'sqlite3']) == 0
     for name in ('map.ply', 'map.persem', 'metrics.json', 'config.yaml'):
         assert (finished[0] / name).read_bytes() == (tmp_path / 'again' / name).read_bytes()
+    # What every ROS 2 from Humble on opens without a plugin holds the same.
+    assert (tmp_path / 'again' / 'refined' / 'refined.db3').exists()
+    assert 'version: 8' in (tmp_path / 'again' / 'refined' / 'metadata.yaml').read_text()
+    for one, other in zip(refined_images(finished[0]), refined_images(tmp_path / 'again')):
+        assert one[:3] == other[:3] and np.array_equal(one[3], other[3])
 
 
 def test_timing_says_what_took_how_long_on_what(finished):

@@ -11,6 +11,7 @@ from persem_ros.outputs.recording.writer import RecordingWriter
 import pytest
 from replays import recorded
 
+N = 2000        # points of a cloud: more than a page of the report is wide
 POINT = np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('label', '<u2')])
 
 
@@ -98,20 +99,22 @@ def test_a_labelled_cloud_is_mapped_and_its_refined_labels_go_out(tmp_path, caps
     rng = np.random.default_rng(0)
     with RecordingWriter(tmp_path / 'bag') as out:
         for i in range(5):
-            points = np.zeros(400, POINT)
-            points['x'], points['y'] = rng.uniform(-4, 4, (2, 400))
+            points = np.zeros(N, POINT)
+            points['x'], points['y'] = rng.uniform(-4, 4, (2, N))
             points['z'] = -1.75
             points['label'] = np.where(points['x'] < 0, 3, 4)
             points['label'][:40] = 4 if i == 2 else points['label'][:40]
             out.pose('pose', bags.stamp(i), 'map', transform((0, 0, 2), (0, 0, 0, 1)))
             out.cloud('points', bags.stamp(i), 'lidar', points)
+    assert main(['info', str(tmp_path / 'bag')]) == 1
+    assert '(--set topics.points=/points)' in capsys.readouterr().out
     assert main(['info', str(tmp_path / 'bag'), '--set', 'topics.points=points']) == 0
     assert 'usable' in capsys.readouterr().out
     status, found = replayed(tmp_path / 'bag', tmp_path / 'out', 'topics.points=points')
     assert status == 0
     assert {(c, v[0] < 0, v[2]) for v, c in found.items()} == {(3, True, 0), (4, False, 0)}
     clouds = recorded(tmp_path / 'out' / 'refined')[0]['/mapper/points']
-    assert len(clouds) == 5 and clouds[2].width == 400
+    assert len(clouds) == 5 and clouds[2].width == N
     refined = clouds[2].data.view(POINT)
     assert (refined['label'] == np.where(refined['x'] < 0, 3, 4)).mean() > 0.95
     metrics = json.loads((tmp_path / 'out' / 'metrics.json').read_text())

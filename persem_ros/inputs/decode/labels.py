@@ -10,11 +10,12 @@ from persem_ros.core.jit import cached
 from persem_ros.inputs.decode import messages
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.settings.config import Labels
-from persem_ros.settings.legend import Legend
+from persem_ros.settings.legend import Legend, load_legend, shipped_legends
 
 CHANNELS = 'rgba'
 LEGEND = 'legend'
 FITS = 0.9              # share of a legend's own colours that makes it the one that was meant
+SHOWN = 4               # colours in a sentence
 OFF = 1 << 15           # in the table of colours: this one is none of the legend's
 
 
@@ -92,7 +93,7 @@ class LabelReader:
     def _of_colors(self, planes: NDArray[np.uint8], encoding: str,
                    legend: Legend | None) -> tuple[NDArray[np.int32], str]:
         palette = self._palette_of(legend)
-        channel = self.channel or self._found(planes, encoding, palette)
+        channel = self.channel or self._found(planes, encoding, palette, legend)
         if channel == LEGEND:
             if palette is None:
                 raise BadMessage('colours without a legend', 'labels.channel=legend needs a '
@@ -108,15 +109,15 @@ class LabelReader:
                              f'{", ".join(CHANNELS[:planes.shape[2]])}, legend')
         return planes[..., number].astype(np.int32), 'mono8'
 
-    def _found(self, planes: NDArray[np.uint8], encoding: str,
-               palette: 'Palette | None') -> str:
+    def _found(self, planes: NDArray[np.uint8], encoding: str, palette: 'Palette | None',
+               legend: Legend | None) -> str:
         """Return the channel that an image shows itself to have; later ones have the same."""
         if palette is not None and palette.share(planes) >= FITS:
-            self.channel = LEGEND
+            if planes[..., :3].any():
+                self.channel = LEGEND
             return LEGEND
-        first = planes[..., 0]
-        if all((planes[..., i] == first).all() for i in (1, 2)):
-            if first.any():
+        if grey(planes):
+            if planes[..., 0].any():
                 self.channel = 'r'      # three equal ones
             return 'r'
         filled = [i for i in range(3) if planes[..., i].any()]
@@ -124,9 +125,26 @@ class LabelReader:
             self.channel = CHANNELS[filled[0]]
             return self.channel
         raise BadMessage('colours instead of ids', f'a label image has the encoding {encoding!r} '
-                         'and several channels that differ; say what they hold with --set '
-                         'labels.legend=FILE (colours of classes: a legend with these colours), '
-                         'or with --set labels.channel=r, g or b (ids in one channel)')
+                         'and several channels that differ; ' + (
+                             _other_colours(planes, palette, legend)
+                             if palette is not None and legend is not None else
+                             'say what they hold with --set labels.legend='
+                             f'{shipped(planes) or "FILE"} (colours of classes: a legend with '
+                             'these colours), or with --set labels.channel=r, g or b (ids in one '
+                             'channel)'))
+
+    def colours(self, msg: Any, legend: Legend | None = None) -> str | None:
+        """Return the shipped legend that an image is coloured as, '' for *legend*, None: none."""
+        try:
+            planes, _ = messages.label_planes(msg, True)
+        except BadMessage:
+            return None
+        if planes.ndim < 3 or grey(planes):
+            return None
+        palette = self._palette_of(legend)
+        if palette is not None and palette.share(planes) >= FITS:
+            return ''
+        return shipped(planes) or None
 
     def _palette_of(self, legend: Legend | None) -> 'Palette | None':
         if legend is None or not legend.classes:
@@ -166,10 +184,45 @@ class Palette:
         return ids, int(off)
 
     def share(self, planes: NDArray[np.uint8]) -> float:
-        """Return the share of pixels whose colour is the legend's."""
+        """Return the share of pixels, of those that are not black, in colours of the legend."""
+        planes = planes[..., :3].reshape(-1, 3)
+        painted = planes[planes.any(axis=1)]
+        planes = painted if len(painted) else planes
         packed = planes[..., :3].astype(np.int32) @ np.array([1 << 16, 1 << 8, 1], np.int32)
         return float(np.mean((self._table[packed] & (OFF - 1) > 0)
                              & (self._table[packed] < OFF)))
+
+
+def grey(planes: NDArray[np.uint8]) -> bool:
+    """Return whether red, green and blue of an image (H, W, 3 or 4) are the same."""
+    return all((planes[..., i] == planes[..., 0]).all() for i in (1, 2))
+
+
+def shipped(planes: NDArray[np.uint8]) -> str:
+    """Return the name of the shipped legend that has the colours of an image, '' for none."""
+    shares = {name: Palette(load_legend(name)).share(planes) for name in shipped_legends()}
+    best = max(shares, key=lambda name: shares[name])
+    return best if shares[best] >= FITS else ''
+
+
+def _other_colours(planes: NDArray[np.uint8], palette: Palette, legend: Legend) -> str:
+    """Return what a legend and an image that do not fit each other have."""
+    packed = planes[..., :3].astype(np.int32) @ np.array([1 << 16, 1 << 8, 1], np.int32)
+    values, counts = np.unique(packed, return_counts=True)
+    most = values[np.argsort(-counts, kind='stable')][:SHOWN].tolist()
+    seen = ', '.join(str((c >> 16, c >> 8 & 255, c & 255)) for c in most)
+    own = ', '.join(f'{tuple(item.color)} {item.name}' for item in legend.classes[:SHOWN])
+    share = palette.share(planes)
+    swapped = palette.share(planes[..., [2, 1, 0]]) >= FITS
+    other = shipped(planes)
+    return (f'{100 * share:.2g} % of the pixels have a colour of the legend: the most frequent of '
+            f'{len(values)} colours are {seen}, the legend has {own}'
+            f'{", …" if len(legend.classes) > SHOWN else ""}'
+            + ('; with red and blue in the other order they fit, so the encoding is the other '
+               'one of rgb8 and bgr8: whoever publishes them has to say so' if swapped else
+               f'; they are those of --set labels.legend={other}' if other else
+               '; give the legend with these colours by --set labels.legend=FILE, or take the '
+               'nearest ones by --set labels.channel=legend'))
 
 
 @cached

@@ -201,14 +201,44 @@ def depth(msg: Any, scale: float = 0.0) -> NDArray[np.float64]:
         Unknown encoding, zero size, short data, damaged compression.
 
     """
-    if hasattr(msg, 'format'):
-        array = _decoded(compressed.depth, msg)
-    else:
-        array = _plane(msg, DEPTH, 'a depth image')
+    array = _depth_plane(msg)
     scale = unit_of(array.dtype, scale)
     # Divided, because units per metre are whole numbers, and metres per unit are rounded ones.
     return array.astype(np.float64) if scale == 1.0 else \
         np.true_divide(array, 1.0 / scale, dtype=np.float64)
+
+
+def disparity(msg: Any, product: float = 0.0) -> NDArray[np.float64]:
+    """
+    Read a disparity image as depth.
+
+    Parameters
+    ----------
+    msg : stereo_msgs/DisparityImage, or an Image of `DEPTH`
+        Disparities in pixels of the rectified left image; the first says what *product* is.
+    product : float
+        Focal length (pixels) x baseline (metres) of the second, per unit of its numbers.
+
+    Returns
+    -------
+    ndarray, shape (H, W), float64
+        Metres along the optical axis; NaN without a disparity.
+
+    """
+    least = 0.0
+    if is_disparity(msg):
+        product, least, msg = float(msg.f) * float(msg.t), float(msg.min_disparity), msg.image
+        if not product > 0.0 or not math.isfinite(product):
+            raise BadMessage('no baseline', f'a disparity image has f x T = {product:g}, expected '
+                             'focal length x baseline')
+    values = _depth_plane(msg).astype(np.float64)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        return np.where((values > 0.0) & (values >= least), product / values, np.nan)
+
+
+def is_disparity(msg: Any) -> bool:
+    """Return whether a message is a stereo_msgs/DisparityImage."""
+    return hasattr(msg, 'min_disparity')
 
 
 def unit_of(dtype: np.dtype, scale: float = 0.0) -> float:
@@ -297,6 +327,13 @@ def unit_quaternion(q: tuple[float, float, float, float]) -> tuple[float, float,
         raise BadMessage('quaternion not of length 1',
                          f'a pose has the quaternion {tuple(q)} of length {norm:.4g}, expected 1')
     return tuple(x / norm for x in q)
+
+
+def _depth_plane(msg: Any) -> NDArray[Any]:
+    """Return the numbers of a depth image (H, W) in their own type."""
+    if hasattr(msg, 'format'):
+        return _decoded(compressed.depth, msg)
+    return _plane(msg, DEPTH, 'a depth image')
 
 
 def _plane(msg: Any, encodings: dict[str, str], what: str) -> NDArray[Any]:

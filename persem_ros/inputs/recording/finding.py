@@ -157,7 +157,8 @@ def _below(folder: Path) -> Found:
     """Return the one recording inside of a folder that is none itself."""
     inside = {}
     with suppress(OSError):
-        for file in islice(chain(folder.glob('*/*'), folder.glob('*/*/*')), LOOKED_AT):
+        for file in islice(chain(folder.glob('*/*'), folder.glob('*/*/*'), folder.glob('*/*/*/*')),
+                           LOOKED_AT):
             if file.name == metadata.NAME or is_stored(file):
                 inside[file.parent] = None
     recordings = sorted(inside)

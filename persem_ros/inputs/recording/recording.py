@@ -23,6 +23,7 @@ from persem_ros.inputs.recording.source import Source
 from persem_ros.inputs.recording.topics import Choice, first_messages, links
 from persem_ros.inputs.sync.pairing import UNUSED
 from persem_ros.inputs.sync.poses import PoseBuffer
+from persem_ros.settings.config import frame_of
 from persem_ros.settings.legend import Legend, load_legend
 
 if TYPE_CHECKING:
@@ -234,7 +235,7 @@ class Recording:
         firsts = first_messages(self.source, names)
         if len(names) < 2 or len(firsts) < 2 or not self.choice.tf_of(camera):
             return False
-        frame = self.config.camera.frame or messages.frame_id(firsts[chosen['depth'].name]) \
+        frame = frame_of(self.config, camera) or messages.frame_id(firsts[chosen['depth'].name]) \
             or messages.frame_id(self.infos[chosen['camera_info'].name])
         poses = PoseBuffer(self.config)
         for transform in self.statics_of(camera):

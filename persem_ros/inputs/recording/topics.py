@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 IMAGE = 'sensor_msgs/msg/Image'
 COMPRESSED = 'sensor_msgs/msg/CompressedImage'
+DISPARITY = 'stereo_msgs/msg/DisparityImage'
 INFO = 'sensor_msgs/msg/CameraInfo'
 TF = 'tf2_msgs/msg/TFMessage'
 POSES = {'PoseStamped': 'geometry_msgs/msg/PoseStamped',
@@ -134,6 +135,17 @@ class Choice:
                     getattr(msg, 'format', '')
         return self._encodings
 
+    def _labelled_clouds(self) -> list[tuple[str, str]]:
+        """Return (topic, field with ids) of clouds whose points have labels."""
+        clouds_there = {t.name for t in self._topics if t.msgtype == POINTS and t.count}
+        found = []
+        for name, msg in first_messages(self._source, clouds_there).items():
+            with suppress(BadMessage):
+                dtype = clouds.structured(msg).dtype
+                found += [(name, field) for field in dtype.names or ()
+                          if dtype[field].kind in 'iu' and NAMED.search(field)][:1]
+        return found[:SHOWN]
+
     def _camera(self, config: Config, camera: str) -> dict[str, TopicInfo]:
         topics = topics_of(config, camera)
         prefix = f'cameras.{camera}.topics' if camera else 'topics'
@@ -162,6 +174,12 @@ class Choice:
                 extra = '--set pose.source=tf'
             elif kind == 'pose' and config.pose.source == 'tf':
                 extra = '--set pose.source=topic'
+            elif kind == 'labels' and config.depth.source == 'image':
+                extra = ' or '.join(' '.join(
+                    f'--set {name}={value}' for name, value in (
+                        (f'{prefix}.points', cloud), ('points.label_field', field))
+                    if value != config.points.label_field)
+                    for cloud, field in self._labelled_clouds())
             elif kind == 'depth' and config.depth.source == 'image':
                 extra = ' or '.join(f'--set depth.source=cloud --set {prefix}.points={topic.name}'
                                     for topic in self.candidates('points')[:SHOWN])
@@ -225,6 +243,8 @@ class Choice:
             return self._pose_types
         if kind == 'points':
             return (POINTS,)
+        if kind == 'depth':
+            return IMAGE, COMPRESSED, DISPARITY
         return (INFO,) if kind in ('camera_info', LABELS_INFO) else (IMAGE, COMPRESSED)
 
     def _find(self, kind: str, wanted: str) -> TopicInfo:

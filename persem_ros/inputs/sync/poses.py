@@ -128,8 +128,12 @@ class PoseBuffer:
 
         """
         if self._settings.source == 'tf':
-            return self._corrected(self.tree.chain(self._map, frame, stamp), stamp,
-                                   self._mount_in_tree(frame, stamp))
+            found, mount = self.tree.chain(self._map, frame, stamp), \
+                self._mount_in_tree(frame, stamp)
+            if found.T is not None and self._extrinsic is not None:
+                found = found._replace(T=found.T @ self._extrinsic)
+                mount = self._extrinsic if mount is None else mount @ self._extrinsic
+            return self._corrected(found, stamp, mount)
         if self._poses is None:
             return Lookup(None, False, NO_POSE)
         found = self._pose_at(stamp)
@@ -233,8 +237,13 @@ class PoseBuffer:
         """Return the Lookup of T_target_source at *stamp*, by /tf_static and /tf alone."""
         return self.tree.chain(target, source, stamp)
 
-    def mount_sentence(self, frame: str) -> str:
-        """Return the sentence that says what NO_MOUNT or UNSAID lacks for images in *frame*."""
+    def mount_sentence(self, frame: str, setting: str = 'camera.frame') -> str:
+        """
+        Return the sentence that says what NO_MOUNT or UNSAID lacks for images in *frame*.
+
+        *setting* is the one that names the frame of the images where they do not.
+
+        """
         if self.unsaid(frame):
             body = self.bodies(frame)[0]
             return (f'the poses do not say what they place, the camera {frame!r} or {body!r}, on '
@@ -242,9 +251,9 @@ class PoseBuffer:
                     f'the body, --set pose.child_frame={frame} if the camera')
         if not frame:
             leaves = sorted(self.tree.static.keys() - {up for up, _ in self.tree.static.values()})
-            flags = ' or '.join(f'--set camera.frame={name}' for name in leaves)
+            flags = ' or '.join(f'--set {setting}={name}' for name in leaves)
             return (f'the poses place the frame {self.child!r}, and the images name no frame '
-                    f'(header.frame_id is empty); {flags or "--set camera.frame=NAME"} names it, '
+                    f'(header.frame_id is empty); {flags or f"--set {setting}=NAME"} names it, '
                     'or --set pose.extrinsic=[x,y,z,qx,qy,qz,qw] gives the mounting')
         return (f'the poses place the frame {self.child!r}, the images are in {frame!r}, and '
                 f'/tf_static ({self._static_edges()}) does not connect them; give the mounting '
@@ -301,7 +310,8 @@ class PoseBuffer:
         """Return why a moving link of /tf has nothing at *stamp*."""
         first, last = track.stamps[0], track.stamps[-1]
         link = f'the transform {track.parent} -> {child} of /tf'
-        hold = f'--set pose.hold={child} holds the newest one'
+        hold = f'--set pose.hold={child} holds the newest one' \
+            if child not in self._settings.hold else 'nothing is held before the first one'
         if len(track.stamps) == 1:
             return (f'at {_seconds(stamp)} {link} has one sample only, of {_seconds(first)}, '
                     f'{abs(stamp - first) / 1e9:.2f} s {"after" if first > stamp else "before"} '

@@ -32,11 +32,14 @@ class RefinedWriter:
     legend : persem_ros.settings.legend.Legend
     config : persem_ros.settings.config.Config
     watch : outputs.results.rundir.Stopwatch
+    storage : str
+        As of the RecordingWriter.
 
     """
 
-    def __init__(self, path: Path, legend: Legend, config: Config, watch: Stopwatch) -> None:
-        self._out = RecordingWriter(path, compress=True, force=True)
+    def __init__(self, path: Path, legend: Legend, config: Config, watch: Stopwatch,
+                 storage: str = 'mcap') -> None:
+        self._out = RecordingWriter(path, storage, compress=True, force=True)
         self._legend, self._config, self._watch = legend, config, watch
 
     def __enter__(self) -> RefinedWriter:

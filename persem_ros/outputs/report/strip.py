@@ -107,7 +107,7 @@ def sample(number: int, frame: Frame, rendering: Rendering, method: str, fill: s
     step = -(-rendering.labels.shape[1] // WIDTH)
 
     def thin(image: NDArray[Any]) -> NDArray[Any]:
-        return image[step // 2::step, step // 2::step]
+        return image[min(step // 2, len(image) - 1)::step, step // 2::step]   # a cloud: one row
 
     images = {'input': rendering.labels, 'majority': rendering.images.get('majority'),
               'refined': rendering.images[method], 'truth': rendering.truth}
