@@ -76,7 +76,7 @@ def _pixels_of_netpbm(text: bytes) -> tuple[int, int]:
 
 def _pixels_of_tiff(data: memoryview) -> tuple[int, int]:
     """Return the largest (width, height) that the first directory of a TIFF speaks of."""
-    order = '<' if data[:1] == b'I' else '>'
+    order = '<' if data[:1].tobytes() == b'I' else '>'
     big = data[2:4].tobytes() in (b'+\0', b'\0+')
     # Offset of the directory; width of its count; of an entry: size, place of the value.
     at, count, step, place = (8, 'Q', 20, 12) if big else (4, 'H', 12, 8)

@@ -200,7 +200,8 @@ def grey(planes: NDArray[np.uint8]) -> bool:
 
 def shipped(planes: NDArray[np.uint8]) -> str:
     """Return the name of the shipped legend that has the colours of an image, '' for none."""
-    shares = {name: Palette(load_legend(name)).share(planes) for name in shipped_legends()}
+    legends = {name: load_legend(name) for name in shipped_legends()}
+    shares = {name: Palette(legend).share(planes) for name, legend in legends.items() if legend}
     best = max(shares, key=lambda name: shares[name])
     return best if shares[best] >= FITS else ''
 
