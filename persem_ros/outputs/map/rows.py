@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.memory.dump import Blocks, MemoryDump
 from persem_ros.core.memory.frame_table import FrameTable, Session
-from persem_ros.core.memory.pools import CELLS
 from persem_ros.frames import MAX_ID
 from persem_ros.outputs.map import schema1
 from persem_ros.outputs.map.checks import check_about, check_dump, check_head
@@ -23,9 +22,7 @@ ORDER = {'about': 'name', 'sessions': 'number', 'mounts': 'session, sensor', 'fr
          'classes': 'id', 'blocks': 'x, y, z'}
 VOXEL = (('cell', '<u2'), ('observations', '<u4'), ('switches', '<u4'), ('label', '<u2'),
          ('majority', '<u2'), ('last', '<u2'), ('first_label', '<u2'), ('source', 'u1'),
-         ('dirty', 'u1'), ('gone', 'u1'), ('posterior', '<f4'), ('passed', '<u4'),
-         ('passed_at', '<i8'))
-SPARSE = 'passed', 'passed_at'      # empty where all of a block's are 0
+         ('dirty', 'u1'), ('gone', 'u1'), ('posterior', '<f4'))
 EVIDENCE = (('evidence_class', '<u2'), ('evidence_sum', '<f8'))
 HISTORY = (('history_label', '<u2'), ('history_confidence', '<f4'), ('history_frame', '<i4'),
            ('history_offset', 'u1'))
@@ -142,12 +139,8 @@ def block_rows(saved: MemoryDump) -> Iterator[tuple[bytes | int, ...]]:
         [borders[2]] * len(HISTORY)
     edges = [(border * size).tolist() for border, size in zip(which, sizes)]
     index, rows = saved.block_index.tolist(), np.diff(saved.block_start).tolist()
-    sparse = [k for k, (name, _) in enumerate(COLUMNS) if name in SPARSE]
-    looks = np.diff(np.concatenate([[0], np.cumsum(saved.passed > 0)])[saved.block_start])
     for b, (x, y, z) in enumerate(index):
         data = [view[edge[b]:edge[b + 1]] for view, edge in zip(views, edges)]
-        for k in sparse:
-            data[k] = data[k] if looks[b] else b''
         key = x, y, z, rows[b]
         yield (*key, crc_of([(*key, *data)]), *data)
 
@@ -245,12 +238,8 @@ def columns_of(blocks: list[Any], first: bool) -> dict[str, NDArray[Any]]:
     for row in blocks:
         if row[4] != crc_of([(*row[:4], *row[5:])]):
             raise ValueError(f'checksum of block {row[:3]}')
-        if not 0 < row[3] <= CELLS:
-            raise ValueError('number of voxels')
-    columns = {name: np.frombuffer(bytearray().join(
-        row[5 + k] or bytes(row[3] * np.dtype(kind).itemsize if name in SPARSE else 0)
-        for row in blocks), kind)
-        for k, (name, kind) in enumerate(schema1.COLUMNS if first else COLUMNS)}
+    columns = {name: np.frombuffer(bytearray().join(row[5 + k] for row in blocks), kind)
+               for k, (name, kind) in enumerate(schema1.COLUMNS if first else COLUMNS)}
     for name, axes in AXES.items():
         if name in columns:
             columns[name] = columns[name].reshape(-1, axes)

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.memory.capture import dump
 from persem_ros.core.memory.dump import load as load_memory, MemoryDump
+from persem_ros.core.memory.pools import SIDE
 from persem_ros.errors import PersemError
 from persem_ros.guard.database import (
     check_beside, check_declared, check_tables, checked, harden, held_by, journal_of, opened,
@@ -95,7 +96,9 @@ class StoredMap:
     def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the corners (3,) of all voxels' centres, metres in the map frame."""
         saved = self.saved
-        voxel = saved.voxels()
+        cell = saved.cell.astype(np.int64)
+        voxel = np.repeat(saved.block_index.astype(np.int64) * SIDE, np.diff(saved.block_start),
+                          axis=0) + np.stack([cell >> 6, cell >> 3 & 7, cell & 7], axis=1)
         return tuple((corner + 0.5) * saved.voxel_size + np.array(saved.origin)
                      for corner in (voxel.min(axis=0), voxel.max(axis=0)))
 
