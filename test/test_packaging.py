@@ -94,7 +94,8 @@ def test_ros_dependencies_cover_the_imports_of_the_node(package_xml):
     imported = {name for path in (ROOT / 'persem_ros').rglob('*.py')
                 for name in re.findall(r'^\s*(?:from|import) (rclpy|\w+_msgs|std_srvs|tf2_\w+)\b',
                                        path.read_text(), re.MULTILINE)}
-    assert imported | {'rclpy'} <= declared
+    workspace = {'px4_msgs'}        # in nobody's index: used where the user has built it
+    assert imported - workspace | {'rclpy'} <= declared
 
 
 @pytest.mark.parametrize('name', ['README.md', 'CONTRIBUTING.md'])

@@ -89,6 +89,8 @@ ROWS = {
     'a confidence image of the': (SENSORS, 'test_a_confident_minority_wins'),
     'names as `vision': ('inputs/test_names.py', 'test_tables_of_every_form'),
     'names that cannot': (SENSORS, 'test_a_table_that_cannot_be_read'),
+    'poses that were corrected': (
+        'replay/test_trajectory.py', 'test_corrected_is_as_if_recorded_right'),
     'labelled clouds': (SENSORS, 'test_a_labelled_cloud_is_mapped'),
     'label images and a LiDAR': (OTHER, 'test_a_lidar_gives_the_depth'),
     'labels and depth of two': (OTHER, 'test_depth_of_another_camera_takes_the_label'),
