@@ -92,8 +92,9 @@ def differences(
         whose value rises or falls).
 
     """
-    if drawn is None and not whole:
-        drawn = [resampled(blocks, seed, resamples) for seed, blocks in enumerate(sequences)]
+    if drawn is None:
+        drawn = [] if whole else [resampled(blocks, seed, resamples)
+                                  for seed, blocks in enumerate(sequences)]
     point = np.stack([measure(**{name: blocks[name].sum(0) for name in NEEDED})
                       for blocks in sequences])         # (sequences, places, methods, 3)
     b = list(methods).index(base)
@@ -106,8 +107,8 @@ def differences(
             * (1.0 if n >= FEWEST else np.nan)
         total, times = (np.tensordot(draws, a, 1) for a in (np.where(known, each, 0.0), known))
     else:
-        total = sum(np.where(known[k], one - one[:, :, b:b + 1], 0.0)
-                    for k, one in enumerate(drawn))
+        total = np.sum([np.where(known[k], one - one[:, :, b:b + 1], 0.0)
+                        for k, one in enumerate(drawn)], axis=0)
     with np.errstate(invalid='ignore'):
         total = total / times
         value = np.where(known, each, 0.0).sum(0) / known.sum(0)
