@@ -14,7 +14,8 @@ from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.move import corrected, correction_of, moved
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine.job import refine
-from persem_ros.core.trajectory import Correction, quaternions, rotations, slerps, Trajectory
+from persem_ros.core.trajectory import Correction, Trajectory
+from persem_ros.core.transforms import quaternions, rotations, slerps
 from persem_ros.core.warmup import warm_up
 from persem_ros.inputs.decode.serialized import Decoder
 from persem_ros.outputs.recording.messages import MessageFactory

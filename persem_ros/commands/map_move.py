@@ -36,10 +36,10 @@ def run(args: Namespace) -> None:
     from persem_ros.outputs.map import store
     from persem_ros.outputs.map.lock import WriterLock
     from persem_ros.outputs.map.move import move_session, session_of
-    stored = store.load(args.file)
-    trajectory = load_trajectory(args.trajectory, stored.map_frame)
-    with closing(WriterLock(stored.path)):
-        store.fold_log(stored.path, locked=True)
+    known = store.head(args.file).stored
+    trajectory = load_trajectory(args.trajectory, known.map_frame)
+    with closing(WriterLock(known.path)):
+        store.fold_log(known.path, locked=True)
         stored = store.load(args.file)
         before = stored.saved
         session = session_of(stored, trajectory, args.session)

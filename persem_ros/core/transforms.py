@@ -1,4 +1,4 @@
-"""Rigid transforms as 4x4 matrices, quaternions as x y z w."""
+"""Rigid transforms as 4x4 matrices, quaternions as x y z w; one, and in the plural many."""
 
 from __future__ import annotations
 
@@ -68,3 +68,52 @@ def slerp(
         angle = np.arccos(dot)
         q = (np.sin((1 - fraction) * angle) * q0 + np.sin(fraction * angle) * q1) / np.sin(angle)
     return q / np.linalg.norm(q)
+
+
+def slerps(q0: NDArray[np.float64], q1: NDArray[np.float64],
+           fraction: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return slerp() of many unit quaternions (n, 4); fractions (n, 1)."""
+    dot = (q0 * q1).sum(axis=1, keepdims=True)
+    q1, dot = np.where(dot < 0, -q1, q1), np.abs(dot)
+    angle = np.arccos(np.minimum(dot, 1.0))
+    chord = dot > 0.9995
+    sine = np.where(chord, 1.0, np.sin(angle))
+    q = np.where(chord, q0 + fraction * (q1 - q0),
+                 (np.sin((1 - fraction) * angle) * q0 + np.sin(fraction * angle) * q1) / sine)
+    return q / np.linalg.norm(q, axis=1, keepdims=True)
+
+
+def quaternions(R: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return x, y, z, w of rotations (n, 3, 3): unit quaternions, shape (n, 4)."""
+    diagonal = R[:, 0, 0], R[:, 1, 1], R[:, 2, 2]
+    products = np.empty((len(R), 4, 4))         # 4 q q^T
+    for i in range(3):
+        products[:, i, i] = 1 + 2 * diagonal[i] - sum(diagonal)
+        j, k = (i + 1) % 3, (i + 2) % 3
+        products[:, j, k] = products[:, k, j] = R[:, j, k] + R[:, k, j]
+        products[:, i, 3] = products[:, 3, i] = R[:, k, j] - R[:, j, k]
+    products[:, 3, 3] = 1 + sum(diagonal)
+    largest = np.argmax(np.einsum('nii->ni', products), axis=1)     # nothing small divides
+    q = products[np.arange(len(R)), largest]
+    q = q / np.linalg.norm(q, axis=1, keepdims=True)
+    return np.where(q[:, 3:] < 0, -q, q)
+
+
+def rotations(q: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return what unit quaternions (n, 4), x y z w, turn by: matrices (n, 3, 3)."""
+    x, y, z, w = q.T
+    return np.stack([
+        1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w),
+        2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w),
+        2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        axis=1).reshape(-1, 3, 3)
+
+
+def inverses(T: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the inverses of rigid transforms (n, 4, 4)."""
+    result = np.zeros_like(T)
+    R = np.swapaxes(T[:, :3, :3], 1, 2)
+    result[:, :3, :3] = R
+    result[:, :3, 3] = -(R @ T[:, :3, 3:])[:, :, 0]
+    result[:, 3, 3] = 1.0
+    return result

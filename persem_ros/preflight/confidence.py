@@ -60,11 +60,12 @@ def _images(view: View, role: str, sample: Sample) -> Iterator[Finding]:
 
 def _size(view: View, role: str, shape: tuple[int, ...]) -> Iterator[Finding]:
     """Yield that the images are of another size than those that they are about."""
-    other = next((size for msg in view.firsts.get(OF[role], ()) if (size := _shape(msg))), shape)
-    fits = shape == other if role == LABELS else same_aspect(shape[::-1], other[::-1])
+    h, w = shape
+    H, W = next((size for msg in view.firsts.get(OF[role], ()) if (size := _shape(msg))), (h, w))
+    fits = (h, w) == (H, W) if role == LABELS else same_aspect((w, h), (W, H))
     if not fits:
-        yield Finding(REFUSE, f'a confidence image on {view.topics[role]} has the size {shape[1]} '
-                              f'x {shape[0]}, the {OF[role]} have {other[1]} x {other[0]}, '
+        yield Finding(REFUSE, f'a confidence image on {view.topics[role]} has the size {w} '
+                              f'x {h}, the {OF[role]} have {W} x {H}, '
                               f'expected {"the same" if role == LABELS else "one aspect ratio"}')
 
 
@@ -99,6 +100,6 @@ def _beyond(msg: Any) -> float:
     return float(np.mean(np.frombuffer(msg.data, '>f4' if msg.is_bigendian else '<f4') > 1.0))
 
 
-def _shape(msg: Any) -> tuple[int, ...]:
-    """Return (H, W) of an image, () where it has none or is compressed."""
-    return (msg.height, msg.width) if hasattr(msg, 'encoding') else ()
+def _shape(msg: Any) -> tuple[int, int] | None:
+    """Return (H, W) of an image, None where it has none or is compressed."""
+    return (msg.height, msg.width) if hasattr(msg, 'encoding') else None

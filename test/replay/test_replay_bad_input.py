@@ -198,18 +198,24 @@ def scaled_depth(factor):
     return change
 
 
+# What depth alone tells is refused by the look at the images, the rest when all is mapped.
+LOOKED, MAPPED = '/depth/image: no pixel was between', 'nothing went into the map'
 EMPTY = {
-    'millimetres': (scaled_depth(1000), [], ['2000 to 2040 m', 'memory.max_depth 200 m',
-                                             'unit', '--set depth.scale=0.001']),
-    'far': (scaled_depth(150.3), [], ['300.6 to 306.6 m', '--set memory.max_depth=310']),
-    'kilometres': (scaled_depth(0.001), [], ['0.002 to 0.00204 m', '--set memory.min_depth=0.00']),
+    'millimetres': (scaled_depth(1000), [],
+                    [LOOKED, '2000 to 2040 m', 'memory.max_depth 200 m', 'unit',
+                     '--set depth.scale=0.001']),
+    'far': (scaled_depth(150.3), [], [LOOKED, '300.6 to 306.6 m', '--set memory.max_depth=310']),
+    'kilometres': (scaled_depth(0.001), [], [LOOKED, '0.002 to 0.00204 m',
+                                             '--set memory.min_depth=0.00']),
     'near and far': (unchanged, ['--set=memory.min_depth=2.5', '--set=memory.max_depth=3'],
-                     ['2 to 2.04 m', 'memory.min_depth 2.5 m', '--set memory.min_depth=2']),
-    'no depth': (scaled_depth(np.nan), [], ['no pixel has a depth']),
+                     [LOOKED, '2 to 2.04 m', 'memory.min_depth 2.5 m',
+                      '--set memory.min_depth=2']),
+    'no depth': (scaled_depth(np.nan), [], ['/depth/image: no pixel has a depth']),
     'ignored': (unchanged, ['--set=memory.ignore_labels=1,2', '--set=memory.dynamic_labels=3,4'],
-                ['ids are 1, 2, 3, 4,', 'memory.ignore_labels [1, 2]',
+                [MAPPED, 'ids are 1, 2, 3, 4,', 'memory.ignore_labels [1, 2]',
                  'memory.dynamic_labels [3, 4]']),
-    'too few pixels': (unchanged, ['--set=memory.min_pixels=300'], ['memory.min_pixels 300']),
+    'too few pixels': (unchanged, ['--set=memory.min_pixels=300'],
+                       [MAPPED, 'memory.min_pixels 300']),
 }
 
 
@@ -224,9 +230,10 @@ def test_a_recording_of_which_nothing_goes_into_the_map(persem, tmp_path, name, 
 def test_a_map_to_which_nothing_comes_is_no_success(persem, tmp_path):
     bag = bad.written(tmp_path / 'bag', unchanged)
     assert persem(bag, out=tmp_path / 'first')[0] == 0
+    goes_on = f'--set=map.path={tmp_path / "first" / "map.persem"}'
     far = bad.written(tmp_path / 'far', scaled_depth(1000))
-    nothing_in(refused(persem(far, f'--set=map.path={tmp_path / "first" / "map.persem"}'),
-                       'no pixel was between'))
+    nothing_in(refused(persem(far, goes_on), LOOKED))
+    nothing_in(refused(persem(bag, goes_on, *EMPTY['ignored'][1]), MAPPED))
 
 
 def sweep_of(path, frames, step, scale=1.0):

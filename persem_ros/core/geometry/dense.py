@@ -20,7 +20,7 @@ from persem_ros.core.jit import inlined, kernel, split
 from persem_ros.core.memory.pools import SIDE
 
 WIDE = SIDE + 2     # a block with a cell more on every side
-MOST = 64           # classes
+MOST = 64           # classes; more have few candidates a voxel (core.geometry.sparse)
 WORK = np.dtype([('Q', 'f8', MOST), ('scratch', 'f8', MOST), ('mean', 'f8', MOST)])
 FAINT = 1e-4        # a Q of this and less adds nothing to sums, but for pi's
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, Optional, Union
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.geometry.dense import Dense, MOST
+from persem_ros.core.geometry.dense import Dense, MOST as MOST_DENSE
 from persem_ros.core.geometry.ground import Ground, ground_of, lower, NONE, TILE, tiles_of
 from persem_ros.core.geometry.groups import Cells, Groups, groups_of, make_cells
 from persem_ros.core.geometry.labelling import label_rows
@@ -20,7 +20,6 @@ from persem_ros.core.geometry.votes import take_votes, Votes
 from persem_ros.core.memory.pools import ROWS
 from persem_ros.errors import PersemError
 
-MOST_DENSE = MOST   # classes; more have few candidates a voxel
 MOST_PAIRS = 1 << 26        # of classes that are kept: 2 GB; K * K up to 8192 classes
 MOST_WORK, WORK_A_VOTE = 1e9, 64        # pairs that are counted: seconds, and so many a vote
 GEOMETRY = 4        # source of a label that is not the majority's, spec section 8

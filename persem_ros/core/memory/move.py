@@ -17,7 +17,8 @@ from persem_ros.core.memory.frame_table import FrameTable
 from persem_ros.core.memory.pools import SIDE
 from persem_ros.core.memory.regroup import (
     bounds, displace, gather, leaving, number, ordered, recount)
-from persem_ros.core.trajectory import Correction, correction, inverses, Trajectory
+from persem_ros.core.trajectory import Correction, correction, Trajectory
+from persem_ros.core.transforms import inverses
 from persem_ros.errors import PersemError
 
 TOO_FAR = 'a corrected pose takes observations too far away for voxels of {} m'
@@ -137,9 +138,11 @@ def regrouped(voxels: NDArray[np.int32], owner: NDArray[np.int32], gone: NDArray
     Parameters
     ----------
     voxels : ndarray, shape (V, 3), int32
+        Their indices.
     owner : ndarray, shape (N,), int32
         The row in voxels of each observation; those of a voxel follow each other.
     gone : ndarray, shape (V,), uint8
+        Whether a voxel had gone.
     labels, confidences, frames, offsets : ndarray
         The observations, as MemoryDump has them.
     turns : ndarray, shape (F, 12), float64

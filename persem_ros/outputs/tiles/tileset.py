@@ -24,7 +24,9 @@ def tileset(pyramid: Pyramid, tile: Tile, name: Callable[[Tile, str], str | None
     Parameters
     ----------
     pyramid : Pyramid
+        Of the map.
     tile : Tile
+        Where the tileset begins.
     name : callable
         name(tile, 'glb') and name(tile, 'json') give the URI of its content, or of a tileset of
         its own; None: it shows nothing.
