@@ -152,7 +152,7 @@ def test_numbers_are_those_of_the_metrics(full):
         for key in ('pixel_accuracy', 'miou', 'flicker'):
             assert f'{row[key]:.2f}' in full.page.text
     assert f'floor {full.result["truth_flicker"]:.1f} % (truth)' in full.page.text
-    assert f'{full.result["observations"]:,}'.replace(',', '\u2009') in full.page.text
+    assert f'{full.result["observations"]:,}'.replace(',', '\u202f') in full.page.text
 
 
 def test_what_is_missing_is_said(full, bare, causal):

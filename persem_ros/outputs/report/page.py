@@ -100,7 +100,7 @@ def _asset(name: str) -> str:
 
 def _number(value: float, digits: int = 0) -> str:
     """Return a number with thin spaces between thousands, a dash where there is none."""
-    return '–' if value is None else f'{value:,.{digits}f}'.replace(',', '\u2009')
+    return '–' if value is None else f'{value:,.{digits}f}'.replace(',', '\u202f')     # no break
 
 
 def _map(replay: Replay, columns: dict[str, Any]) -> dict[str, Any]:
