@@ -9,6 +9,7 @@ measured.
 
 from concurrent.futures import ThreadPoolExecutor
 import logging
+import time
 
 from persem_ros.core.jit import work_alone
 from persem_ros.core.memory.changes import Changes
@@ -21,6 +22,7 @@ from std_msgs.msg import String
 log = logging.getLogger(__name__)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 SLICE = 100_000     # voxels that are taken in or told at once
+PATIENCE = 1.0      # s that the map may wait for slices that are still to be taken in
 
 
 class MapOutputs:
@@ -49,6 +51,7 @@ class MapOutputs:
         self._job = None
         self._listeners = {'map': 0, 'changes': 0}
         self._changes_since, self._mirror = Changes(), None
+        self._behind_since = None       # when the map began to wait for more slices
         self.publish_legend()
 
     def publish_legend(self):
@@ -72,6 +75,11 @@ class MapOutputs:
         return self._mirror is not None and self._mirror.waiting
 
     @property
+    def caught_up(self):
+        """Whether the last look found no more than it took."""
+        return self._behind_since is None
+
+    @property
     def whole(self):
         """Whether all that had changed at the last look is taken in."""
         return self._mirror is not None and self._mirror.complete
@@ -91,7 +99,9 @@ class MapOutputs:
         Parameters
         ----------
         wanted : set of str
-            'map', 'changes': what is to be published now. The map waits until it is whole.
+            'map', 'changes': what is to be published now. The map waits until it is whole, but
+            not for longer than PATIENCE: under overload more may change than is taken in. What
+            it lacks then is what is farthest from the camera.
         new : bool
             Somebody listens to the changes who did not before.
         memory : persem_ros.core.memory.voxel_memory.VoxelMemory
@@ -112,8 +122,13 @@ class MapOutputs:
         if self._mirror is None:
             self._mirror = Mirror(memory.voxel_size, self._legend())
         changed = self._changes_since.take(memory, centre, SLICE)
-        if not changed.complete:
-            wanted = wanted - {'map'}
+        if changed.complete:
+            self._behind_since = None
+        else:
+            now = time.monotonic()
+            self._behind_since = self._behind_since or now
+            if now - self._behind_since < PATIENCE:
+                wanted = wanted - {'map'}
         self._job = self._thread.submit(self._publish, self._mirror, wanted, new, changed, stamp,
                                         centre - memory.origin, settings)
         return wanted
@@ -121,7 +136,7 @@ class MapOutputs:
     def forget(self):
         """Forget what was published: nobody listens."""
         self._changes_since.close()
-        self._mirror = None
+        self._mirror = self._behind_since = None
 
     def close(self):
         """Wait for what is being published."""

@@ -441,6 +441,7 @@ class Worker(threading.Thread):
         if 'changes' in due:
             self._changed = now
         self._shown = True
-        self._stale -= due
+        if self.map.caught_up:
+            self._stale -= due
         if not self.map.whole:
             self._stale.add('changes')
