@@ -133,8 +133,7 @@ class Flight:
         while time.monotonic() - begin < seconds and not (until and until()):
             frame_due, pose_due = begin + frames / rate, begin + poses / POSE_RATE
             due = min(frame_due, pose_due)
-            if due > time.monotonic():
-                time.sleep(due - time.monotonic())
+            time.sleep(max(0.0, due - time.monotonic()))
             if pose_due <= frame_due:
                 at = poses / POSE_RATE
                 stamp = first + round(at * 1e9)
@@ -229,7 +228,8 @@ class Run:
     def first_image(self):
         """Return the seconds from the start to the first refined image, None before it came."""
         path = Path(f'{self._out}.first')
-        return (int(path.read_text()) - self.started) / 1e9 if path.exists() else None
+        text = path.read_text() if path.exists() else ''    # it is being written, perhaps
+        return (int(text) - self.started) / 1e9 if text else None
 
     def rss(self):
         """Return the node's resident memory in MB."""
