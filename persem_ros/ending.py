@@ -61,16 +61,27 @@ def begin() -> None:
 
 def leave(status: int) -> None:
     """End the process with *status*, or 130 where a signal has come; there is no way back."""
+    handle(at_once)
+    finish()
+    # Not by sys.exit: an interrupt while Python ends would give a traceback and another status.
+    os._exit(INTERRUPTED if interrupted() else status)
+
+
+def leave_deaf(status: int) -> None:
+    """End the process with *status*; whoever ignores signals by now goes on to do so."""
+    finish()
+    os._exit(status)        # Python taking itself apart would give signals back to the system
+
+
+def finish() -> None:
+    """Do what Python does before it ends a process."""
     import atexit
     from contextlib import suppress
-    handle(at_once)
     for stream in (sys.stdout, sys.stderr):
         with suppress(Exception):       # a reader that went away, a full disk
             stream.flush()
     with suppress(Exception):
         atexit._run_exitfuncs()
-    # Not by sys.exit: an interrupt while Python ends would give a traceback and another status.
-    os._exit(INTERRUPTED if interrupted() else status)
 
 
 def _once(number: int, _: object) -> None:

@@ -46,7 +46,7 @@ MAY_IMPORT = {
     'commands': LIBRARIES | {'replay', 'convert', 'simulate', 'evaluate'},
     'cli': NOUNS | {'commands', 'ending'},
     'ending': set(),
-    'ros': LIBRARIES,
+    'ros': LIBRARIES | {'ending'},
 }
 ROS = re.compile(r'(rclpy|rosidl_\w+|\w+_interfaces|\w+_msgs|\w+_srvs|tf2_\w+|cv_bridge|'
                  r'message_filters|launch\w*|ament_\w+)$')

@@ -167,6 +167,7 @@ def main(args=None, ending=None):
     ending = ending or Ending()
     node, status = None, 0
     try:
+        ending.begun = True
         # Our own handlers: ROS lives until the map is saved.
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         node = Mapper()

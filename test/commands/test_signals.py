@@ -113,3 +113,34 @@ from persem_ros import cli
     # Where the installation is editable, its finder has imported __future__ before us.
     assert set(new.stdout.split()) - {'__future__'} == {'persem_ros', 'persem_ros.cli',
                                                         'persem_ros.ending'}
+
+
+def ended(code):
+    """Return (status, output) of what a process does with the node's Ending."""
+    head = ('import os, signal, sys\n'
+            'from persem_ros.ending import leave_deaf\n'
+            'from persem_ros.ros.ending import Ending\n'
+            'def ask(): os.kill(os.getpid(), signal.SIGTERM)\n')
+    done = subprocess.run([sys.executable, '-c', head + code], cwd=ROOT, capture_output=True,
+                          text=True, timeout=60)
+    assert done.stderr == ''
+    return done.returncode, done.stdout
+
+
+def test_the_node_hears_a_signal_wherever_its_wait_is_interrupted():
+    # at every line of all that is called wait, those of the standard library included
+    assert ended('ending = Ending()\n'
+                 'ending.patient = True\n'
+                 'def trace(frame, event, arg):\n'
+                 "    if event == 'line' and frame.f_code.co_name == 'wait': ask()\n"
+                 '    return trace\n'
+                 'sys.settrace(trace)\n'
+                 'ending.wait()\n'
+                 'sys.settrace(None)\n'
+                 'print(ending.wanted)\n') == (0, 'True\n')
+
+
+def test_the_node_leaves_at_once_before_it_has_begun_and_hears_nothing_when_it_is_over():
+    assert ended('Ending(begun=False)\nask()\nprint(1)') == (130, '')
+    assert ended('import atexit\nending = Ending()\natexit.register(ask)\nending.over()\nask()\n'
+                 'leave_deaf(3)') == (3, '')
