@@ -33,6 +33,7 @@ VOXELS = 1 << 30        # from map.origin, within which a camera can be: voxels 
 INFO, POSE, TF, LEGEND = 'camera_info', 'pose', 'tf', 'legend'
 LABELS_INFO, TRAJECTORY = 'labels_info', 'trajectory'
 NO_INFO = 'no camera info'
+OTHER_INFO = 'camera info of another camera'
 NO_TIE_YET = 'no transform between depth and labels'
 NO_TIE = 'no transform between cloud and labels'
 SAME = 1e-6         # between two matrices of one place, metres
@@ -263,6 +264,8 @@ class Intake:
         lidar = depth.msgtype == clouds.TYPE
         given = assembler.given
         frame_id = given or (labels if lidar else depth).frame_id or labels.frame_id or info_frame
+        if not given and not lidar and self._of_another(poses, info_frame, depth.frame_id):
+            return Lookup(None, True, OTHER_INFO)
         found = self._found(poses, assembler, match.stamp, frame_id)
         if given and not lidar:
             return found
@@ -275,6 +278,18 @@ class Intake:
         self.examples[OTHER_CAMERA] = other_camera_sentence(other, frame_id,
                                                             match.T_labels_depth)
         return Lookup(None, False, OTHER_CAMERA)
+
+    def _of_another(self, poses: PoseBuffer, info: str, depth: str) -> bool:
+        """Return whether static transforms say that a camera info is of another camera."""
+        if depth in ('', info) or not info:
+            return False
+        T = poses.tree.chain(info, depth, None).T
+        if T is None or np.abs(T - np.eye(4)).max() <= SAME:
+            return False
+        self.examples[OTHER_INFO] = (
+            f'the camera info is of {info!r}, the depth images are of {depth!r}, which is another '
+            'camera by /tf_static: --set topics.camera_info=TOPIC names that of the depth images')
+        return True
 
     def _found(self, poses: Any, assembler: Assembler, stamp: Any, frame_id: Any) -> Any:
         """Return the pose of a frame; where there is none, remember why."""

@@ -64,11 +64,6 @@ def _nothing(view: View, shots: Mapping[int, Shot], stamps: list[int],
     """Yield that no depth is in range, in a few images and then in many."""
     emptiness = Emptiness(sample.config.memory)
     images = [shot.depth for shot in shots.values()]
-    if sample.live:
-        assembler = Assembler(sample.config)
-        for msg in view.firsts['depth']:
-            with suppress(BadMessage):
-                images.append(assembler.depth(msg))
     for image in images:
         emptiness.depth(image)
     if not images or not emptiness.of_depth():

@@ -50,7 +50,6 @@ def _view(view: View, config: Config, legend: Legend | None) -> Iterator[Finding
                               "legend's: another topic, or another legend (labels.legend)?")
     elif reader.note:
         yield Finding(WARN if reader.off else NOTE, reader.note)
-    yield from _channel(view, config, reader, legend)
     yield from _ids(np.concatenate([ids.ravel() for ids in seen]), view, config)
     other = _other_camera(view)
     if other:
@@ -68,21 +67,6 @@ def _view(view: View, config: Config, legend: Legend | None) -> Iterator[Finding
         except BadMessage as fault:
             yield Finding(REFUSE, str(fault))
         return
-
-
-def _channel(view: View, config: Config, reader: LabelReader,
-             legend: Legend | None) -> Iterator[Finding]:
-    """Yield that one channel is read of images in the colours of a legend."""
-    if config.labels.channel in ('', LEGEND):
-        return
-    found = [reader.colours(msg, legend) for msg in view.firsts['labels'] if not is_cloud(msg)]
-    names = [name for name in found if name is not None]
-    if names:
-        also = {'labels.legend': names[0]} if names[0] else {}
-        yield Finding(REFUSE, f'the images on {view.topics["labels"]} have the colours of '
-                              f'{"the legend " + names[0] if names[0] else "the legend"}; their '
-                              f'channel {config.labels.channel} alone is no id',
-                      (Remedy({'labels.channel': LEGEND, **also}),))
 
 
 def _ids(ids: NDArray[np.int32], view: View, config: Config) -> Iterator[Finding]:

@@ -103,7 +103,7 @@ def check_reading(sample: Sample) -> Iterator[Finding]:
     """Yield that depth speaks against what settings or messages say the poses place."""
     for view in sample.views:
         track, frame = view.poses.poses, view.image_frame
-        if sample.live or track is None or 'depth' not in view.topics or is_cloud_of(view):
+        if track is None or 'depth' not in view.topics or is_cloud_of(view):
             continue
         given = view.poses.child or frame
         others = [frame] if given != frame else view.poses.bodies(frame)[:1]

@@ -1,17 +1,20 @@
 """The preflight of a node: the checks of a replay, over the first messages that arrive."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from functools import partial
 import logging
 from typing import Any
 
 import numpy as np
 
+from persem_ros.inputs.assemble import Assembler
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.intake import INFO, POSE, Station
 from persem_ros.inputs.sync.pairing import CONFIDENCE, DEPTH, DEPTH_CONFIDENCE, LABELS
 from persem_ros.preflight.findings import Finding, NOTE, REFUSE
 from persem_ros.preflight.look import look
-from persem_ros.preflight.sample import Sample, View
+from persem_ros.preflight.sample import Sample, Shot, View
 from persem_ros.ros.inbox import Item
 from persem_ros.ros.inputs import Input
 from persem_ros.settings.config import Config
@@ -20,6 +23,8 @@ from persem_ros.settings.legend import Legend
 log = logging.getLogger(__name__)
 FIRSTS = 3          # messages of a role that are decoded to judge it
 ENOUGH = 20         # label images whose stamps are compared
+SHOTS = 24          # depth images that are compared with each other …
+BYTES = 96 << 20    # … of each camera, in so many bytes
 ROLES = (LABELS, DEPTH, CONFIDENCE, DEPTH_CONFIDENCE, INFO, POSE)
 
 
@@ -58,7 +63,9 @@ class FirstLook:
         if self.done or item.input.role not in ROLES:
             return
         kept = self._seen.setdefault(item.input, [])
-        if len(kept) < FIRSTS:
+        shots = item.input.role == DEPTH and len(kept) < SHOTS and \
+            (len(kept) + 1) * len(item.data) <= BYTES
+        if len(kept) < FIRSTS or shots:
             kept.append(item)
         elif len(kept) < 50 * ENOUGH:       # stamps are enough of the others
             kept.append(item._replace(data=item.data[:512]))
@@ -72,7 +79,8 @@ class FirstLook:
         self.findings = look(Sample(config, views, live=True, legend=self._legend()))
         self._seen.clear()
         for finding in self.findings:
-            say = {REFUSE: log.error, NOTE: log.info}.get(finding.severity, log.warning)
+            quiet = finding.severity == NOTE and not finding.takes      # a node takes nothing
+            say = log.error if finding.severity == REFUSE else log.info if quiet else log.warning
             say('%s', finding.text(live=True))
 
     def _enough(self, one: Input) -> bool:
@@ -90,7 +98,24 @@ class FirstLook:
                     {role: np.array([s for s, _ in rows], np.int64)
                      for role, rows in stamps.items()},
                     {role: np.array([at for _, at in rows], np.int64)
-                     for role, rows in stamps.items()}, station.poses)
+                     for role, rows in stamps.items()}, station.poses,
+                    partial(self._shots, items[DEPTH], items[INFO]))
+
+    def _shots(self, depth: list[Item], infos: list[Item], wanted: Iterable[int],
+               config: Config) -> dict[int, Shot]:
+        """Return the depth images of some stamps, those that were kept and can be read."""
+        found, stamps, assembler = {}, set(wanted), Assembler(config)
+        for info in self._decoded(infos):
+            with suppress(BadMessage):
+                assembler.add_info(info)
+        for item in depth[:SHOTS]:
+            stamp = item.input.stamp_of(item.data)
+            if stamp in stamps:
+                with suppress(BadMessage):
+                    image, camera = assembler.seen(self._decode(item.data, item.kind))
+                    found[stamp] = Shot(np.where(np.isfinite(image) & (image > 0.0), image, 0.0),
+                                        camera)
+        return found
 
     def _decoded(self, items: list[Item]) -> list[Any]:
         found = []

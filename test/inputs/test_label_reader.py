@@ -160,11 +160,18 @@ def test_colours_in_the_other_order_or_of_a_shipped_legend_are_recognised():
         reader()(image(colors, 'rgb8'))
 
 
-def test_one_channel_of_a_legends_colours_is_no_id():
+@pytest.mark.parametrize('legend', [TOWN, None])
+def test_one_channel_of_a_legends_colours_is_no_id(legend):
     read, colors = reader(channel='r'), TOWN.colors(np.array(TOWN.ids)[IDS])
-    assert read.colours(image(colors, 'rgb8'), TOWN) == ''
-    assert read.colours(image(colors, 'rgb8')) == 'town'
-    assert read.colours(image(planes(IDS, 0, 3), 'rgb8'), TOWN) is None
-    assert read.colours(image(np.repeat(IDS[..., None], 3, 2).astype('u1'), 'rgb8')) is None
-    mostly = planes(np.where(np.arange(2000).reshape(40, 50) < 9, 7, 0), 0, 3)
-    assert read.colours(image(mostly, 'rgb8'), TOWN) is None        # black is in every legend
+    read(image(0 * colors, 'rgb8'), legend)         # tells nothing
+    for pixels in (colors, planes(IDS, 0, 3)):      # and what was found of the first holds
+        with pytest.raises(BadMessage, match='channel r alone is no id: --set labels.channel='):
+            read(image(pixels, 'rgb8'), legend)
+
+
+@pytest.mark.parametrize('pixels', [
+    planes(IDS, 0, 3), np.repeat(IDS[..., None], 3, 2).astype('u1'),
+    # Black is in every legend.
+    planes(np.where(np.arange(2000).reshape(40, 50) < 9, 7, 0), 0, 3)])
+def test_ids_in_a_channel_are_not_taken_for_colours(pixels):
+    assert reader(channel='r')(image(pixels, 'rgb8'), TOWN)[0].tolist() == pixels[..., 0].tolist()

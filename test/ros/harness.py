@@ -188,8 +188,9 @@ class Mapper(Process):
     def ready(self):
         """Wait until it maps; return itself."""
         self._seen.clear()
+        # Its own word, too: diagnostics may be those of another node in this domain.
         until(lambda: self.values().get('message', 'compiling the kernels')
-              != 'compiling the kernels' or not self.running,
+              != 'compiling the kernels' and ': ready' in self.output or not self.running,
               lambda: f'the node is not ready:\n{self.output}')
         assert self.running, self.output
         return self
@@ -260,6 +261,7 @@ class Player:
         kinds = {topic: kind for topic, kind, _, _ in self.messages}
         self._out = {topic: client.publisher(get_message(kind), f'{prefix}{topic}', qos)
                      for topic, kind in kinds.items()}
+        time.sleep(0.3)     # that a writer knows its reader does not mean that this knows it
 
     def play(self):
         """Publish everything, as fast as a reliable connection takes it."""

@@ -46,6 +46,7 @@ class LabelReader:
         self._told = bool(settings.channel)
         self._divisor = settings.divisor
         self._palette: tuple[object, Palette] | None = None
+        self._checked, self._fault = settings.channel in ('', LEGEND), ''
 
     def __call__(self, msg: Any, legend: Legend | None = None) -> tuple[NDArray[np.int32], str]:
         """
@@ -102,6 +103,7 @@ class LabelReader:
             self.pixels += ids.size
             self.off += off
             return ids, palette.encoding
+        self._check(planes, palette)
         number = CHANNELS.index(channel)
         if number >= planes.shape[2]:
             raise BadMessage('no such channel', f'a label image has the encoding {encoding!r} '
@@ -133,18 +135,19 @@ class LabelReader:
                              'these colours), or with --set labels.channel=r, g or b (ids in one '
                              'channel)'))
 
-    def colours(self, msg: Any, legend: Legend | None = None) -> str | None:
-        """Return the shipped legend that an image is coloured as, '' for *legend*, None: none."""
-        try:
-            planes, _ = messages.label_planes(msg, True)
-        except BadMessage:
-            return None
-        if planes.ndim < 3 or grey(planes):
-            return None
-        palette = self._palette_of(legend)
-        if palette is not None and palette.share(planes) >= FITS:
-            return ''
-        return shipped(planes) or None
+    def _check(self, planes: NDArray[np.uint8], palette: 'Palette | None') -> None:
+        """Refuse (BadMessage) one channel of a legend's colours, by the first image with any."""
+        if not self._checked and planes[..., :3].any() and not grey(planes):
+            fits = palette is not None and palette.share(planes) >= FITS
+            name = '' if fits else shipped(planes)
+            if fits or name:
+                also = f' --set labels.legend={name}' if name else ''
+                self._fault = (f'a label image has the colours of the legend{" " if name else ""}'
+                               f'{name}; its channel {self.channel} alone is no id: --set '
+                               f'labels.channel={LEGEND}{also}')
+            self._checked = True
+        if self._fault:
+            raise BadMessage('channel of colours', self._fault)
 
     def _palette_of(self, legend: Legend | None) -> 'Palette | None':
         if legend is None or not legend.classes:
