@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 import queue
 import threading
+from types import TracebackType
 from typing import Any, TypeVar
 
 Item = TypeVar('Item')
@@ -55,8 +56,8 @@ class WriteBehind:
     """
 
     def __init__(self, depth: int = 2) -> None:
-        self._calls: queue.Queue[Any] = queue.Queue(depth)
-        self._error = None
+        self._calls: queue.Queue[tuple[Any, tuple[Any, ...]]] = queue.Queue(depth)
+        self._error: BaseException | None = None
         self._thread = threading.Thread(target=self._work, name='write behind', daemon=True)
 
     def __enter__(self) -> WriteBehind:
@@ -69,7 +70,10 @@ class WriteBehind:
         self._check()
         self._calls.put((function, arguments))
 
-    def __exit__(self, kind: type[Any] | None, value: Any, traceback: Any) -> None:
+    def __exit__(
+            self, kind: type[BaseException] | None, value: BaseException | None,
+            traceback: TracebackType | None
+    ) -> None:
         """Wait until all is done, or, after an error in the block, drop what is left."""
         if kind is not None:
             self._error = self._error or value
@@ -94,7 +98,7 @@ class WriteBehind:
                     self._error = error
 
 
-def _put(ready: queue.Queue[Any], item: tuple[Any, None], stopped: threading.Event) -> bool:
+def _put(ready: queue.Queue[Item], item: Item, stopped: threading.Event) -> bool:
     """Put an item into a bounded queue; False when the consumer has gone."""
     while not stopped.is_set():
         try:

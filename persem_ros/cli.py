@@ -16,7 +16,7 @@ from contextlib import contextmanager, redirect_stdout, suppress    # noqa: E402
 import importlib                                    # noqa: E402
 import logging                                      # noqa: E402
 import os                                           # noqa: E402
-from typing import Any                              # noqa: E402
+from typing import Any, TextIO                      # noqa: E402
 
 from persem_ros import __version__                  # noqa: E402
 from persem_ros.errors import PersemError           # noqa: E402
@@ -68,14 +68,14 @@ def main(argv: list[str] | None = None) -> int:
 class _Plain:
     """A text stream in front of another one: names from files cannot command the terminal."""
 
-    def __init__(self, stream: Any) -> None:
+    def __init__(self, stream: TextIO) -> None:
         self._stream = stream
 
-    def write(self, text: Any) -> Any:
+    def write(self, text: str) -> int:
         """Write a text, control characters escaped."""
         return self._stream.write(plain(text, lines=True))
 
-    def __getattr__(self, name: Any) -> Any:
+    def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
 
 
@@ -106,7 +106,7 @@ def _status(argv: list[str], debug: bool) -> int:
     return INTERRUPTED
 
 
-def _run(argv: Any, debug: Any) -> Any:
+def _run(argv: list[str], debug: bool) -> int:
     """Run *argv*; an interrupt comes through, also one that was taken for a fault of a file."""
     try:
         args = _parsed(argv)
@@ -114,7 +114,7 @@ def _run(argv: Any, debug: Any) -> Any:
         sys.stdout.flush()
         return DONE if status is None else status
     except SystemExit as stop:      # argparse has said what it had to say
-        return USAGE if stop.code is None else stop.code
+        return stop.code if isinstance(stop.code, int) else USAGE
     except BrokenPipeError:
         # Python flushes standard output once more at exit, which must not fail as well.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -125,7 +125,7 @@ def _run(argv: Any, debug: Any) -> Any:
         return _fault(error, debug)
 
 
-def _fault(error: Any, debug: Any) -> Any:
+def _fault(error: Exception, debug: bool) -> int:
     """Say what went wrong and return the exit status."""
     try:
         raise error
@@ -150,10 +150,10 @@ class _Parser(argparse.ArgumentParser):
             super()._check_value(action, value)
         except argparse.ArgumentError as error:
             raise argparse.ArgumentError(
-                action, error.message + nearest(value, action.choices)) from None
+                action, error.message + nearest(value, action.choices or ())) from None
 
 
-def _parsed(argv: list[str]) -> argparse.Namespace | None:
+def _parsed(argv: list[str]) -> argparse.Namespace:
     """Return the arguments taken apart; SystemExit where they are none of ours."""
     parser = _parser(argv)
     args, strange = parser.parse_known_args(argv)
@@ -191,7 +191,7 @@ def _parser(argv: list[str]) -> _Parser:
     return parser
 
 
-def _failed(text: Any, debug: bool) -> int:
+def _failed(text: str, debug: bool) -> int:
     """Say *text* on one line, with the traceback before it under --debug; return 1."""
     if debug:
         logging.getLogger(__name__).exception('traceback')
@@ -199,7 +199,7 @@ def _failed(text: Any, debug: bool) -> int:
     return REFUSED
 
 
-def _say(text: Any) -> None:
+def _say(text: str) -> None:
     """Write one line on standard error."""
     with suppress(OSError, ValueError):     # nobody reads it
         print(f'persem: {sentence(text)}', file=sys.stderr)
@@ -208,23 +208,24 @@ def _say(text: Any) -> None:
 class _Formatter(logging.Formatter):
     """One line a record, control characters escaped; tracebacks keep their lines."""
 
-    def format(self, record: Any) -> Any:   # noqa: A003
+    def format(self, record: logging.LogRecord) -> str:   # noqa: A003
         """Return the record as text."""
         text = super().format(record)
         return plain(text, lines=True) if record.exc_info else sentence(text)
 
 
-class _Handler(logging.StreamHandler):
+# Not to be subscribed before Python 3.11.
+class _Handler(logging.StreamHandler):      # type: ignore[type-arg]
     """Standard error, which somebody may have closed."""
 
-    def handleError(self, record: Any) -> None:      # noqa: N802
+    def handleError(self, record: logging.LogRecord) -> None:      # noqa: N802
         """Pass over a stream that is gone."""
         if not isinstance(sys.exc_info()[1], OSError):
             super().handleError(record)
 
 
 @contextmanager
-def _logging(debug: bool) -> Iterator[Any]:
+def _logging(debug: bool) -> Iterator[None]:
     """Show our own log records on standard error, one line each, for as long as this lasts."""
     logger = logging.getLogger('persem_ros')
     handler = _Handler()

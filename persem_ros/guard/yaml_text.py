@@ -57,10 +57,11 @@ def check(text: str, bounds: Bounds, parser: Any = PARSER) -> None:
     for event in _events(text, bounds, parser):
         line = event.start_mark.line + 1
         if isinstance(event, yaml.AliasEvent):
-            if not bounds.aliases or event.anchor not in sizes:
-                raise ValueError(f'an alias (*{event.anchor[:20]}) in line {line}; write the '
+            name = event.anchor or ''       # the stubs know of aliases without one
+            if not bounds.aliases or name not in sizes:
+                raise ValueError(f'an alias (*{name[:20]}) in line {line}; write the '
                                  'value itself')
-            nodes += sizes[event.anchor]
+            nodes += sizes[name]
         elif isinstance(event, yaml.NodeEvent):
             nodes += 1
             if event.anchor is not None:
@@ -71,7 +72,8 @@ def check(text: str, bounds: Bounds, parser: Any = PARSER) -> None:
             raise ValueError(f'a value of more than {bounds.scalar} characters in line {line}; '
                              f'{bounds.remedy}')
         if isinstance(event, yaml.CollectionStartEvent):
-            sizes.pop(event.anchor, None)       # none of itself in it
+            if event.anchor is not None:
+                sizes.pop(event.anchor)         # none of itself in it
             begun.append((event.anchor, nodes - 1))
             if len(begun) > bounds.depth:
                 raise ValueError(f'more than {bounds.depth} levels in line {line}; '

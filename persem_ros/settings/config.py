@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 import difflib
 import math
-from typing import Any
+from typing import Any, TYPE_CHECKING, TypeVar
 
 from persem_ros.errors import PersemError
 from persem_ros.guard.words import short
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 METHODS = ('majority', 'unweighted', 'recency', 'consensus', 'probabilistic',
            'trust', 'context', 'history', 'context_history', 'persem', 'geometry')
 IMAGE_METHODS = ('raw2d', 'ema2d')
 QOS = ('auto', 'best_effort', 'reliable', 'latched')
-ONE = {float: 'a number', int: 'a whole number', bool: 'true or false', str: 'text'}
-MANY = {float: 'numbers', int: 'whole numbers', str: 'texts'}
+ONE: dict[type, str] = {float: 'a number', int: 'a whole number', bool: 'true or false',
+                        str: 'text'}
+MANY: dict[type, str] = {float: 'numbers', int: 'whole numbers', str: 'texts'}
 _QOS = 'auto', ('auto: reliable while every publisher found offers it, else best_effort; '
                 'best_effort matches every publisher; reliable: nothing is lost; latched: '
                 'reliable, and the last message of before is asked for')
+Section = TypeVar('Section', bound='DataclassInstance')
 
 
 def setting(
@@ -60,8 +65,8 @@ class Memory:
         1, 'integrate every n-th pixel of every n-th row; 0: auto, as many as leave a voxel three '
         'pixels wide at the median depth', 'pixels', 0, 64)
     min_pixels: int = setting(1, 'pixels that make an observation of a voxel', 'pixels', 1, 10000)
-    ignore_labels: tuple[Any, ...] = setting((255, 65535), 'ids that are not observations')
-    dynamic_labels: tuple[Any, ...] = setting(
+    ignore_labels: tuple[int, ...] = setting((255, 65535), 'ids that are not observations')
+    dynamic_labels: tuple[int, ...] = setting(
         (-1,), 'ids of things that move: never integrated, passed through unchanged; -1: none')
     max_history: int = setting(
         0, 'newest observations that a refinement reads per voxel; 0: all', 'observations', 0,
@@ -173,10 +178,10 @@ class Pose:
                              0.0, 3600.0)
     max_speed: float = setting(
         100.0, 'poses that jump faster than this are not interpolated', 'm/s', 0.0, 1e6)
-    hold: tuple[Any, ...] = setting(
+    hold: tuple[str, ...] = setting(
         ('',), 'frames whose transform in /tf is held: the newest sample not later than the '
         'stamp serves until the next, whatever its age; empty: none', live=False)
-    extrinsic: tuple[Any, ...] = setting(
+    extrinsic: tuple[float, ...] = setting(
         (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
         'camera in the child frame of the pose (pose.source=tf: in the frame of the images): x y '
         'z qx qy qz qw; all 0: from /tf_static',
@@ -317,14 +322,14 @@ class Map:
     on_time_jump: str = setting(
         'keep', 'what becomes of the map when time goes back, as in a recording that loops (node)',
         choices=('keep', 'reset'))
-    origin: tuple[Any, ...] = setting(
+    origin: tuple[float, float, float] = setting(
         (0.0, 0.0, 0.0),
         'point of the map frame that is subtracted from all positions (UTM coordinates)', 'm',
         live=False)
     crs: str = setting(
         '', 'coordinate reference system of exported files, EPSG:25832; empty: none; persem map '
         'georeference enters it into a map file')
-    georeference: tuple[Any, ...] = setting(
+    georeference: tuple[float, float, float, float] = setting(
         (0.0, 0.0, 0.0, 0.0),
         'where the map frame lies in map.crs: east, north and up of its origin (m), and its turn '
         'counter-clockwise (degrees)')
@@ -416,18 +421,19 @@ class Config:
     inputs: Inputs = Inputs()
     ema: Ema = Ema()
     labels: Labels = Labels()
-    cameras: tuple[Any, ...] = setting(
+    cameras: tuple[str, ...] = setting(
         ('',), 'names of several cameras; each has cameras.<name>.topics.* and '
         'cameras.<name>.frame; empty: one camera', live=False)
-    camera_topics: tuple = ()   # ((name, Topics), ...), filled from cameras.<name>.topics.*
-    camera_frames: tuple = ()   # ((name, str), ...), filled from cameras.<name>.frame
+    # By name, filled from cameras.<name>.topics.* and cameras.<name>.frame.
+    camera_topics: tuple[tuple[str, Topics], ...] = ()
+    camera_frames: tuple[tuple[str, str], ...] = ()
 
 
 def settings(
-        config: Config | Memory | Refine | None = None, prefix: str = ''
-) -> Iterator[tuple[str, float | str | tuple[int, ...], Any]]:
+        config: DataclassInstance | None = None, prefix: str = ''
+) -> Iterator[tuple[str, Any, Mapping[str, Any]]]:
     """
-    Yield every setting of *config* as (dotted name, value, metadata).
+    Yield every setting of *config*, or of one section, as (dotted name, value, metadata).
 
     The metadata is a mapping with the keys help, unit, low, high, choices and live.
 
@@ -435,7 +441,7 @@ def settings(
     config = Config() if config is None else config
     for item in fields(config):
         value = getattr(config, item.name)
-        if is_dataclass(value):
+        if is_dataclass(value) and not isinstance(value, type):
             yield from settings(value, f'{prefix}{item.name}.')
         elif item.metadata:
             yield f'{prefix}{item.name}', value, item.metadata
@@ -446,7 +452,7 @@ def settings(
             yield f'cameras.{camera}.frame', frames.get(camera, ''), meta.metadata
 
 
-def updated(config: Config, values: dict[str, Any]) -> Config:
+def updated(config: Config, values: Mapping[str, Any]) -> Config:
     """
     Return *config* with {dotted name: value} applied.
 
@@ -469,18 +475,22 @@ def updated(config: Config, values: dict[str, Any]) -> Config:
         if name not in known:
             raise PersemError(f'unknown setting {short(name)}{nearest(name, known)}; '
                               "'persem config' lists all settings")
-        config = _with(config, name.split('.'), _checked(name, value, *known[name]))
+        value = _checked(name, value, *known[name])
+        head, *rest = name.split('.')
+        config = _with_camera(config, rest, value) if head == 'cameras' else \
+            _with(config, [head, *rest], value)
     _check_together(config)
     return config
 
 
-def nearest(name: str, known: Sequence[str] | dict[str, Any]) -> str:
+def nearest(name: object, known: Iterable[object]) -> str:
     """Return ", did you mean 'x'?" for the name in *known* that is nearest, or ''."""
-    name = str(name)[:200] if isinstance(name, (str, int, float)) else ''
-    near = difflib.get_close_matches(name, [str(k) for k in known], n=1, cutoff=0.5)
+    word = str(name)[:200] if isinstance(name, (str, int, float)) else ''
+    words = [str(k) for k in known]
+    near = difflib.get_close_matches(word, words, n=1, cutoff=0.5)
     if not near:
-        tail = name.rpartition('.')[2]
-        near = [k for k in known if str(k).rpartition('.')[2] == tail][:1]
+        tail = word.rpartition('.')[2]
+        near = [k for k in words if k.rpartition('.')[2] == tail][:1]
     return f', did you mean {near[0]!r}?' if near else ''
 
 
@@ -491,10 +501,10 @@ def topics_of(config: Config, camera: str = '') -> Topics:
 
 def frame_of(config: Config, camera: str = '') -> str:
     """Return the frame that the settings say a camera's images are in, '' for none."""
-    return str(dict(config.camera_frames).get(camera, config.camera.frame))
+    return dict(config.camera_frames).get(camera, config.camera.frame)
 
 
-def _camera_topics(config: Config) -> tuple[Any, ...]:
+def _camera_topics(config: Config) -> tuple[tuple[str, Topics], ...]:
     """Topics of every named camera: its own where given, else the shared names below its name."""
     old = dict(config.camera_topics)
     result = []
@@ -505,7 +515,7 @@ def _camera_topics(config: Config) -> tuple[Any, ...]:
     return tuple(result)
 
 
-def _checked(name: str, value: Any, default: Any, meta: Any) -> Any:
+def _checked(name: str, value: Any, default: Any, meta: Mapping[str, Any]) -> Any:
     """Return *value* in the type of *default*, or refuse it."""
     kind = type(default)
     if hasattr(value, 'tolist'):    # NumPy's numbers and arrays; nothing here imports it
@@ -540,7 +550,7 @@ def _checked(name: str, value: Any, default: Any, meta: Any) -> Any:
     return value
 
 
-def _words(kind: type[Any], default: float, meta: Any) -> str:
+def _words(kind: type, default: object, meta: Mapping[str, Any]) -> str:
     """Return what a value should be, in words: a number (m), for example 0.5."""
     unit = f' ({meta["unit"]})' if meta.get('unit') else ''
     if kind in (bool, str):
@@ -566,18 +576,19 @@ def _check_together(config: Config) -> None:
             f'({config.memory.max_depth} m), got {config.memory.min_depth} m')
 
 
-def _with(
-        config: Config | Memory | Refine, path: list[str], value: float | str | tuple[int, ...]
-) -> Config | Memory | Refine:
+def _with(config: Section, path: list[str], value: object) -> Section:
     """Return *config* with the setting at *path* replaced."""
     head, *rest = path
-    if head == 'cameras' and rest:
-        camera, _, item = (*rest, '')[:3]
-        if not item:
-            frames = dict(config.camera_frames) | {camera: value}
-            return replace(config, camera_frames=tuple(frames.items()))
-        topics = tuple((name, replace(old, **{item: value}) if name == camera else old)
-                       for name, old in config.camera_topics)
-        return replace(config, camera_topics=topics)
     inner = _with(getattr(config, head), rest, value) if rest else value
     return replace(config, **{head: inner})
+
+
+def _with_camera(config: Config, path: list[str], value: str) -> Config:
+    """Return *config* with cameras.<name>.frame or a cameras.<name>.topics.* replaced."""
+    camera, _, item = (*path, '')[:3]
+    if not item:
+        frames = dict(config.camera_frames) | {camera: value}
+        return replace(config, camera_frames=tuple(frames.items()))
+    topics = tuple((name, replace(old, **{item: value}) if name == camera else old)
+                   for name, old in config.camera_topics)
+    return replace(config, camera_topics=topics)

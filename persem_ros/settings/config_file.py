@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 import textwrap
 from typing import Any, TYPE_CHECKING
 
 from persem_ros.errors import PersemError
 from persem_ros.guard.words import sentence, short
 from persem_ros.settings.config import Config, nearest, settings, updated
-from persem_ros.settings.parameter_file import parse, read, read_text, scalar
+from persem_ros.settings.parameter_file import Entry, parse, read, read_text, scalar
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -20,16 +20,16 @@ HEADER = 'Settings of persem_ros, read by the node and by the command line (--co
 
 
 def from_args(
-        config_path: Path | None = None, set_items: Sequence[Any] = (), node: bool = False
-) -> Config | None:
+        config_path: Path | str | None = None, set_items: Sequence[str] = (), node: bool = False
+) -> Config:
     """
     Return the Config that a command line asks for.
 
     Parameters
     ----------
-    config_path : str or Path, optional
+    config_path : path, optional
         YAML file in ROS form.
-    set_items : sequence of str
+    set_items : texts
         name=value; the last one wins, and all win over the file.
     node : bool
         Start from the node's defaults instead of the command line's.
@@ -42,7 +42,7 @@ def from_args(
 
     """
     base = from_values(NODE_DEFAULTS) if node else Config()
-    values = {}
+    values: dict[str, Any] = {}
     config = base
     if config_path is not None:
         config = from_file(config_path, base)
@@ -53,14 +53,17 @@ def from_args(
     return from_values({**values, **items}, base)
 
 
-def given_names(config_path: Any = None, set_items: list[str] = ()) -> set[str]:
+def given_names(
+        config_path: Path | str | None = None, set_items: Sequence[str] = ()
+) -> set[str]:
     """Return the set of names that the file and the options of from_args give."""
     names = {parse_item(item)[0] for item in set_items}
-    return names | set(read(config_path) if config_path else ())
+    return names | (set(read(config_path)) if config_path else set())
 
 
-def from_values(values: dict[str, float | list[float | str] | str], config: Config | None = None,
-                source: str = '') -> Config | None:
+def from_values(
+        values: Mapping[str, Any], config: Config | None = None, source: str = ''
+) -> Config:
     """
     Return *config* (default: all defaults) with {dotted name: value} applied.
 
@@ -77,13 +80,13 @@ def from_values(values: dict[str, float | list[float | str] | str], config: Conf
         raise PersemError(f'{source}{error}') from None
 
 
-def from_file(path: Path | str, config: Config | None = None) -> Config | None:
+def from_file(path: Path | str, config: Config | None = None) -> Config:
     """
     Return *config* (default: all defaults) with the settings of a YAML file applied.
 
     Parameters
     ----------
-    path : str or Path
+    path : path
         File in ROS form: '/**:', 'mapper:' or '/mapper:' over 'ros__parameters:'. Sections of
         other nodes and ROS's own parameters are passed over.
     config : Config, optional
@@ -98,7 +101,9 @@ def from_text(text: str, name: str) -> Config:
     return _applied(read_text(text, name), name, None)
 
 
-def _applied(entries: dict[str, Any], path: Path | str, config: Config | None) -> Config | None:
+def _applied(
+        entries: Mapping[str, Entry], path: Path | str, config: Config | None
+) -> Config:
     """Return *config* with the entries {name: (value, line)} of a file applied."""
     values = {name: value for name, (value, _) in entries.items()}
     try:
@@ -112,7 +117,7 @@ def _applied(entries: dict[str, Any], path: Path | str, config: Config | None) -
         raise PersemError(f'{place}: {text}') from None
 
 
-def parse_item(item: str) -> tuple[str, Any] | None:
+def parse_item(item: str) -> tuple[str, Any]:
     """
     Return (name, value) of a 'name=value' option.
 
@@ -140,7 +145,7 @@ def parse_item(item: str) -> tuple[str, Any] | None:
         raise PersemError(f'--set {shown}: cannot be read; lists are written [1, 2]') from None
 
 
-def to_yaml(config: Config, left_out: set[str] | tuple[Any, ...] = ()) -> str:
+def to_yaml(config: Config, left_out: Collection[str] = ()) -> str:
     """
     Return *config* as YAML in ROS form, each setting with its help text, unit and range.
 
@@ -148,8 +153,8 @@ def to_yaml(config: Config, left_out: set[str] | tuple[Any, ...] = ()) -> str:
     ----------
     config : Config
         What to write.
-    left_out : collection of str
-        Names written as a comment, so that each reader's own default holds.
+    left_out : names
+        Written as a comment, so that each reader's own default holds.
 
     """
     lines = [f'# {HEADER}', '/**:', '  ros__parameters:']
@@ -191,7 +196,7 @@ def to_markdown() -> str:
     return '\n'.join(lines) + '\n'
 
 
-def comment(name: str, meta: Any) -> str:
+def comment(name: str, meta: Mapping[str, Any]) -> str:
     """Return a setting's help text with unit, range and the node's default in one line."""
     bounds = ' '.join(part for part in (span(meta), meta['unit']) if part)
     text = meta['help'] + (f' [{bounds}]' if bounds else '')
@@ -200,7 +205,7 @@ def comment(name: str, meta: Any) -> str:
     return text
 
 
-def span(meta: Any) -> str:
+def span(meta: Mapping[str, Any]) -> str:
     """Return a setting's range or choices as text, '' where everything goes."""
     if meta['choices']:
         return ', '.join(meta['choices'])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 import logging
@@ -58,7 +58,7 @@ class LegendClass:
 
     id: int         # noqa: A003 - the word of the file format
     name: str
-    color: tuple[Any, ...]
+    color: tuple[int, int, int]
     group: str = ''
     ignored: bool = False
     dynamic: bool = False
@@ -77,18 +77,16 @@ class Legend:
     """
 
     title: str = ''
-    classes: tuple[Any, ...] = ()
-    _warned: list[Any] = field(default_factory=list, repr=False)
-    unlabelled: tuple[Any, ...] = ()
+    classes: tuple[LegendClass, ...] = ()
+    _warned: list[int] = field(default_factory=list, repr=False)
+    unlabelled: tuple[int, ...] = ()
 
-    def __eq__(self, other: Legend) -> bool:
+    def __eq__(self, other: object) -> bool:    # and therefore without a hash
         """Legends are equal when their classes are, whatever they are called."""
         return isinstance(other, Legend) and self.classes == other.classes
 
-    __hash__ = None
-
     @classmethod
-    def from_yaml(cls, text: str, source: str = 'legend') -> Legend | None:
+    def from_yaml(cls, text: str, source: str = 'legend') -> Legend:
         """
         Read a legend from YAML text; *source* names it in refusals.
 
@@ -104,7 +102,7 @@ class Legend:
             raise PersemError(f"{source}: expected a mapping with a list 'classes' of "
                               '{id, name, color, group, ignored, dynamic, cost, las}')
         classes = tuple(_class(row, f'{source}: classes[{i}]') for i, row in enumerate(rows))
-        seen: dict[Any, Any] = {}
+        seen: dict[int, str] = {}
         for item in classes:
             if item.id in seen:
                 raise PersemError(f'{source}: id {item.id} is given twice, to '
@@ -112,7 +110,7 @@ class Legend:
             seen[item.id] = item.name
         return cls(str(content.get('title', ''))[:1000], classes)
 
-    def ignoring(self, ids: tuple[int, ...]) -> Legend:
+    def ignoring(self, ids: Iterable[int]) -> Legend:
         """Return the same legend, to which the *ids* that are no class of it are ignored ones."""
         return Legend(self.title, self.classes, unlabelled=tuple(
             c for c in ids if 0 <= c <= UNKNOWN and c not in self.ids))
@@ -131,17 +129,17 @@ class Legend:
 
     @property
     def ids(self) -> tuple[int, ...]:
-        """All ids of the legend, as a tuple in its order."""
+        """All ids of the legend, in its order."""
         return tuple(item.id for item in self.classes)
 
     @property
     def ignored(self) -> tuple[int, ...]:
-        """Return the ids that are not observations, as a tuple."""
+        """Return the ids that are not observations."""
         return tuple(item.id for item in self.classes if item.ignored)
 
     @property
     def dynamic(self) -> tuple[int, ...]:
-        """Return the ids of things that move, as a tuple."""
+        """Return the ids of things that move."""
         return tuple(item.id for item in self.classes if item.dynamic)
 
     def name(self, label: int) -> str:
@@ -157,8 +155,8 @@ class Legend:
                 if getattr(item, key) is not None}
 
     def groups(self) -> dict[str, tuple[int, ...]]:
-        """Return {group: tuple of ids}, ignored ids left out, in the order of the legend."""
-        result: dict[Any, Any] = {}
+        """Return {group: ids}, ignored ids left out, in the order of the legend."""
+        result: dict[str, tuple[int, ...]] = {}
         for item in self.classes:
             if not item.ignored:
                 result[item.group] = result.get(item.group, ()) + (item.id,)
@@ -166,7 +164,8 @@ class Legend:
 
     def color(self, label: int) -> tuple[int, int, int]:
         """Return the colour (red, green, blue) of one class id."""
-        return tuple(int(v) for v in self.colors(np.array([label], np.int32))[0])
+        red, green, blue = self.colors(np.array([label], np.int32))[0].tolist()
+        return red, green, blue
 
     def colors(self, ids: NDArray[Any]) -> NDArray[np.uint8]:
         """
@@ -197,7 +196,8 @@ class Legend:
             return np.zeros((*ids.shape, 3), np.uint8)
         # OpenCV drops the fourth byte forty times as fast as a slice of NumPy's.
         pixels = np.ascontiguousarray(packed).view(np.uint8).reshape(1, -1, 4)
-        return cv2.cvtColor(pixels, cv2.COLOR_RGBA2RGB).reshape(*ids.shape, 3)
+        colors: NDArray[np.uint8] = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGBA2RGB), np.uint8)
+        return colors.reshape(*ids.shape, 3)
 
     def _warn(self, packed: NDArray[np.uint32], ids: NDArray[Any]) -> None:
         """Log the ids that the legend does not know, once in its life."""
@@ -224,7 +224,7 @@ class Legend:
         return table.view(np.uint32).ravel()
 
 
-def made_up_colors(ids: NDArray[np.int64] | list[int]) -> NDArray[np.uint8]:
+def made_up_colors(ids: NDArray[np.integer[Any]] | list[int]) -> NDArray[np.uint8]:
     """Return distinct colours, shape (n, 3), uint8, for ids without a legend; fixed per id."""
     ids = np.asarray(ids, np.int64)
     hue = ids * 0.6180339887498949 % 1.0            # the golden ratio never comes near itself
@@ -241,7 +241,7 @@ def _made_up() -> NDArray[np.uint8]:
     return made_up_colors(np.arange(UNKNOWN + 1))
 
 
-def load_legend(name: Path | str) -> Legend | None:
+def load_legend(name: Path | str) -> Legend:
     """
     Return the Legend of a shipped name (town, uavscenes, forest, cityscapes) or of a file.
 
@@ -277,13 +277,15 @@ def _folders() -> Iterator[Path]:
     """Yield where config/labels may be: source tree, environment, ROS prefixes."""
     root = Path(__file__).resolve().parents[2]
     yield root / 'config' / 'labels'
-    prefixes = [sys.prefix, sysconfig.get_path('data'), site.getuserbase(), root,
-                *os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)]
-    for prefix in filter(None, prefixes):
-        yield Path(prefix) / 'share' / 'persem_ros' / 'config' / 'labels'
+    prefixes: list[str | Path | None] = [
+        sys.prefix, sysconfig.get_path('data'), site.getuserbase(), root,
+        *os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)]
+    for prefix in prefixes:
+        if prefix:
+            yield Path(prefix) / 'share' / 'persem_ros' / 'config' / 'labels'
 
 
-def _class(row: dict[str, Any], where: str) -> LegendClass:
+def _class(row: object, where: str) -> LegendClass:
     """Return the LegendClass of one row of the file, or refuse it."""
     if not isinstance(row, dict):
         raise PersemError(f'{where}: expected {{id, name, color, ...}}, got {short(row)}')
@@ -297,33 +299,40 @@ def _class(row: dict[str, Any], where: str) -> LegendClass:
             f'{where}: id: expected an integer 0 .. {UNKNOWN}, got {short(number)}')
     if not isinstance(name, str) or not name.strip():
         raise PersemError(f'{where}: name: expected text, got {short(name)} (quote words like no)')
-    flags = {flag: row.get(flag, False) for flag in ('ignored', 'dynamic')}
-    for flag, value in flags.items():
+    flags: dict[str, bool] = {}
+    for flag in ('ignored', 'dynamic'):
+        value = row.get(flag, False)
         if type(value) is not bool:
             raise PersemError(f'{where}: {flag}: expected true or false, got {short(value)}')
-    numbers = {key: row.get(key) for key in NUMBERS}
-    for key, value in numbers.items():
+        flags[flag] = value
+    numbers: dict[str, int | None] = {}
+    for key in NUMBERS:
+        value = row.get(key)
         if value is not None and (type(value) is not int or not 0 <= value <= NUMBERS[key]):
             raise PersemError(f'{where}: {key}: expected a whole number 0 .. {NUMBERS[key]}, got '
                               f'{short(value)}')
+        numbers[key] = value
     if number > MAX_ID and not flags['ignored']:
         raise PersemError(f'{where}: id {number} means "no label": expected ignored: true')
     return LegendClass(number, name, _color(row.get('color'), number, where),
-                       str(row.get('group') or name), **flags, **numbers)
+                       str(row.get('group') or name), flags['ignored'], flags['dynamic'],
+                       numbers['cost'], numbers['las'])
 
 
-def _color(value: list[int] | str | None, number: int, where: str) -> tuple[int, int, int]:
+def _color(value: object, number: int, where: str) -> tuple[int, int, int]:
     """Return (red, green, blue) of [r, g, b], '#rrggbb' or nothing."""
     if value is None:
-        return tuple(_made_up()[number].tolist())
+        red, green, blue = _made_up()[number].tolist()
+        return red, green, blue
     if isinstance(value, str) and len(value) == 7 and value[0] == '#':
         try:
-            return tuple(bytes.fromhex(value[1:]))
+            red, green, blue = bytes.fromhex(value[1:])
+            return red, green, blue
         except ValueError:
             pass
     if isinstance(value, list) and len(value) == 3 and \
             all(type(v) is int and 0 <= v <= 255 for v in value):
-        return tuple(value)
+        return value[0], value[1], value[2]
     raise PersemError(f"{where}: color: expected [red, green, blue] of 0 .. 255 or '#rrggbb', "
                       f'got {short(value)}')
 
@@ -335,5 +344,5 @@ def _scalar(text: str) -> str:
     return yaml.safe_dump(text, default_style='"', width=1 << 20, allow_unicode=True).strip()
 
 
-def _one_line(error: Any) -> str:
+def _one_line(error: Exception) -> str:
     return ' '.join(str(error).split())

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import copy
 from pathlib import Path
 import re
-from typing import Any
+from typing import Any, NamedTuple
 
 from persem_ros.errors import PersemError
 from persem_ros.guard.words import sentence, short
@@ -15,6 +15,13 @@ import yaml
 
 NODE = 'mapper'
 ROS_OWN = re.compile(r'use_sim_time$|qos_overrides\.|start_type_description_service$')
+
+
+class Entry(NamedTuple):
+    """A value of a file, and the line that it stands in."""
+
+    value: Any
+    line: int
 
 
 class _Loader(yaml.SafeLoader):
@@ -35,7 +42,7 @@ _Loader.add_implicit_resolver(
                r'|[-+]?\.(inf|Inf|INF)$|\.(nan|NaN|NAN)$'), list('-+.0123456789'))
 
 
-def read(path: Path) -> dict[str, Any] | None:
+def read(path: Path | str) -> dict[str, Entry]:
     """Return {dotted name: (value, line)} of a YAML file in ROS form."""
     try:
         with open(path, encoding='utf-8') as file:
@@ -48,7 +55,7 @@ def read(path: Path) -> dict[str, Any] | None:
     return read_text(text, path)
 
 
-def read_text(text: str, path: Path | str) -> dict[str, Any] | None:
+def read_text(text: str, path: Path | str) -> dict[str, Entry]:
     """
     Return {dotted name: (value, line)} of a YAML text in ROS form.
 
@@ -57,7 +64,7 @@ def read_text(text: str, path: Path | str) -> dict[str, Any] | None:
     text : str
         '/**:', 'mapper:' or '/mapper:' over 'ros__parameters:'; sections of other nodes and
         ROS's own parameters are passed over.
-    path : str or Path
+    path : path
         Stands for the text in refusals.
 
     Raises
@@ -85,7 +92,7 @@ def read_text(text: str, path: Path | str) -> dict[str, Any] | None:
         found = sentence(', '.join(name for name, _ in sections[:5]))
         raise PersemError(f"{path}: expected settings for '/**' or '{NODE}', "
                           f'found only those of {found}')
-    entries = {}
+    entries: dict[str, Entry] = {}
     # As in ROS, what is meant for one node wins over a wildcard.
     for _, section in sorted(ours, key=lambda item: '*' not in item[0]):
         entries.update(_flat(section, '', path))
@@ -113,7 +120,9 @@ def scalar(value: Any) -> str:
     return yaml.safe_dump(value).split('\n')[0]
 
 
-def _sections(node: Any, path: str, file: Path) -> Iterator[tuple[str, Any]]:
+def _sections(
+        node: yaml.Node, path: str, file: Path | str
+) -> Iterator[tuple[str, yaml.MappingNode]]:
     """Yield (node name, mapping below ros__parameters) of every node in the file."""
     if not isinstance(node, yaml.MappingNode):
         return
@@ -134,9 +143,9 @@ def _is_ours(name: str) -> bool:
     return name.rpartition('/')[2] in (NODE, '*', '**')
 
 
-def _flat(node: Any, prefix: str, file: Path) -> dict[str, Any]:
+def _flat(node: yaml.MappingNode, prefix: str, file: Path | str) -> dict[str, Entry]:
     """Return {dotted name: (value, line)} of a mapping node."""
-    entries: dict[Any, Any] = {}
+    entries: dict[str, Entry] = {}
     for key, value in node.value:
         line = key.start_mark.line + 1
         if not isinstance(key, yaml.ScalarNode):
@@ -146,7 +155,7 @@ def _flat(node: Any, prefix: str, file: Path) -> dict[str, Any]:
             below = _flat(value, f'{name}.', file)
         else:
             try:
-                below = {name: (_Loader('').construct_object(value, deep=True), line)}
+                below = {name: Entry(_Loader('').construct_object(value, deep=True), line)}
             # Tags with values that they do not fit (!!int "") raise almost anything.
             except Exception as error:
                 why = getattr(error, 'problem', None) or str(error) or type(error).__name__
@@ -154,6 +163,6 @@ def _flat(node: Any, prefix: str, file: Path) -> dict[str, Any]:
         twice = sorted(set(below) & set(entries))
         if twice:
             raise PersemError(f'{file}, line {line}: {twice[0]} is given twice, first in line '
-                              f'{entries[twice[0]][1]}')
+                              f'{entries[twice[0]].line}')
         entries.update(below)
     return entries

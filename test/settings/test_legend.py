@@ -144,6 +144,7 @@ def test_names_survive_yaml():
     ('classes:\n- {id: 1, name: a, color: [1, 2]}', 'color: expected'),
     ('classes:\n- {id: 1, name: a, color: [1, 2, 256]}', 'color: expected'),
     ('classes:\n- {id: 1, name: a, color: "#GG0000"}', 'color: expected'),
+    ('classes:\n- {id: 1, name: a, color: "#12  34"}', 'color: expected'),     # two of three
     ('classes:\n- {id: 1, name: a, dynamic: maybe}', 'dynamic: expected true or false'),
     ('classes:\n- {id: 65535, name: a}', 'expected ignored: true'),
     ('[' * 5000, 'not YAML'),
