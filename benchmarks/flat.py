@@ -2,6 +2,7 @@
 
 import argparse
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 import time
 
 import numpy as np
@@ -10,6 +11,8 @@ from persem_ros.core.memory.capture import Capture
 from persem_ros.core.memory.changes import Changes
 from persem_ros.core.refine.job import begin_next, finish
 from persem_ros.core.refine.snapshot import settle
+from persem_ros.outputs.grid.layers import Layers
+from persem_ros.outputs.grid.rule import rule_of
 from persem_ros.outputs.map.mirror import Mirror
 from persem_ros.pipeline import Pipeline
 from persem_ros.settings.config import Map
@@ -17,6 +20,10 @@ from persem_ros.settings.legend import Legend
 import scenes
 
 SIZES = 10 ** 5, 10 ** 6, 10 ** 7
+SLICE = 100_000     # voxels that the grid takes in at once
+NEARBY = 2000       # voxels from the map's origin to the ground of the grid's benchmark
+COSTS = Legend.from_yaml('classes:\n' + ''.join(
+    f'- {{id: {c}, name: c{c}, cost: {c}}}\n' for c in range(scenes.CLASSES)))
 PUBLISH = 5         # frames between two publications
 
 
@@ -76,6 +83,24 @@ def flight(config, size, frames, clock, rounds=3):
     return away
 
 
+def grid(config, size, frames, clock):
+    """Follow a flight with ~/grid beside *size* voxels of ground; return what took how long."""
+    config = replace(config, grid=replace(config.grid, min_observations=1))
+    pipeline, away, changes = Pipeline(config), Away(clock), Changes()
+    memory = pipeline.memory
+    scenes.fill(memory, size, NEARBY)
+    layers = Layers(rule_of(config, COSTS, memory.voxel_size), memory.voxel_size,
+                    config.grid.resolution, config.grid.tie)
+    while len((changed := changes.take(memory, most=SLICE)).index):
+        layers.update(changed)
+    for frame in frames:
+        pipeline.add(frame)
+        changed = away.time('copy what changed', changes.take, memory,
+                            frame.T_map_camera[:3, 3], SLICE)
+        away.time('update the grid', layers.update, changed)
+    return away
+
+
 def _publish(mirror, changed, centre):
     """Do what happens beside the mapping."""
     mirror.update(changed)
@@ -102,8 +127,17 @@ def main():
         away = flight(Config(), size, frames, clock)
         print(f'{size:>9} voxels: away {away.worst():.1f} ms at worst, p99 {away.p99():.1f} ms')
         for name, seconds in away.seconds.items():
-            print(f'    {name:<20} median {1e3 * np.median(seconds):6.2f} ms, worst '
-                  f'{1e3 * max(seconds):6.2f} ms ({len(seconds)})')
+            print(told(name, seconds))
+    for size in SIZES:
+        print(f'{size:>9} voxels, ~/grid:')
+        for name, seconds in grid(Config(), size, frames, clock).seconds.items():
+            print(told(name, seconds))
+
+
+def told(name, seconds):
+    """Return a line about one part."""
+    return (f'    {name:<20} median {1e3 * np.median(seconds):6.2f} ms, worst '
+            f'{1e3 * max(seconds):6.2f} ms ({len(seconds)})')
 
 
 if __name__ == '__main__':

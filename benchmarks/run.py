@@ -43,6 +43,7 @@ def main():
     rows += memory_use(big)
     rows += scaling(big)
     rows += away(big)
+    rows += grids(big)
     if not args.quick:
         rows += replays()
     report(big, rows)
@@ -197,6 +198,15 @@ def away(big):
                 None),
             row('away from frames there: at worst', ', '.join(f'{m:.1f}' for m in worst) + ' ms',
                 '<= 30 ms', max(worst) <= 30)]
+
+
+def grids(big):
+    """Bring ~/grid up to date after a frame, in maps of 10^5, 10^6 and 10^7 voxels."""
+    found = [flat.grid(CONFIG, size, big.last, time.perf_counter) for size in flat.SIZES]
+    took = [median_ms(one.seconds['update the grid']) for one in found]
+    ratio = max(took) / min(took)
+    return [row('~/grid after a frame, in 10^5, 10^6, 10^7 voxels (beside the mapping)',
+                ', '.join(f'{m:.1f}' for m in took) + f' ms: {ratio:.2f} x', '', None)]
 
 
 def replays():

@@ -29,13 +29,13 @@ def frames(plan):
                       color=None, truth=None)
 
 
-def fill(memory, voxels):
+def fill(memory, voxels, at=100_000):
     """Add observations of far away voxels, a plane two voxels thick, until there are *voxels*."""
     side, first = 1024, 0
     while memory.n_voxels < voxels:
         n = min(2 * side * side // 8, voxels - memory.n_voxels)
         index = np.arange(first, first + n)
-        place = np.stack([100_000 + index // 2 // side, index // 2 % side, index % 2], axis=1)
+        place = np.stack([at + index // 2 // side, index // 2 % side, index % 2], axis=1)
         memory.add(Observations(
             place.astype(np.int32), (index % CLASSES).astype(np.uint16),
             np.ones(n, np.float32), np.empty(0, np.int32), np.arange(CLASSES, dtype=np.uint16),

@@ -125,7 +125,7 @@ class GridOutputs:
             for name, layer in NAMES.items():
                 if not self._listeners[name]:
                     continue
-                values = shown(getattr(layers.cells, layer))
+                values = getattr(layers.cells, layer)
                 if name in self._whole or box is not None and not self._updates:
                     self._out[name].publish(whole(values, layers.cells, stamp, frame))
                 elif box is not None:
@@ -153,9 +153,9 @@ def shown(values: NDArray[Any]) -> NDArray[np.int8]:
     return np.where(values <= MOST_ID, values, 255).astype(np.uint8).view(np.int8)
 
 
-def whole(values: NDArray[np.int8], cells: Any, stamp: int, frame: str) -> Any:
-    """Return an OccupancyGrid; map.origin is taken off, as in ~/map."""
-    grid = OccupancyGrid(header=header(stamp, frame), data=_data(values))
+def whole(values: NDArray[Any], cells: Any, stamp: int, frame: str) -> Any:
+    """Return an OccupancyGrid of costs or class ids; map.origin is taken off, as in ~/map."""
+    grid = OccupancyGrid(header=header(stamp, frame), data=_data(shown(values)))
     grid.info.map_load_time = grid.header.stamp
     grid.info.resolution = float(cells.size)
     grid.info.height, grid.info.width = values.shape
@@ -165,11 +165,11 @@ def whole(values: NDArray[np.int8], cells: Any, stamp: int, frame: str) -> Any:
     return grid
 
 
-def part(values: NDArray[np.int8], box: tuple[int, int, int, int], stamp: int, frame: str) -> Any:
+def part(values: NDArray[Any], box: tuple[int, int, int, int], stamp: int, frame: str) -> Any:
     """Return the OccupancyGridUpdate of a box of cells, x0 y0 x1 y1."""
     x0, y0, x1, y1 = box
     return OccupancyGridUpdate(header=header(stamp, frame), x=x0, y=y0, width=x1 - x0,
-                               height=y1 - y0, data=_data(values[y0:y1, x0:x1]))
+                               height=y1 - y0, data=_data(shown(values[y0:y1, x0:x1])))
 
 
 def _data(values: NDArray[np.int8]) -> array[int]:

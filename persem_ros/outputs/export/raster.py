@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 import warnings
-from xml.sax.saxutils import escape
+from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +32,9 @@ def write_geotiff(path: Path | str, source: MapSource, choice: Choice) -> tuple[
     """
     Write the top-most chosen voxel of each column; return the raster's width and height.
 
-    NAME.tif has the class with colours (names in NAME.tif.aux.xml, as GDAL keeps them),
-    NAME.values.tif the bands of BANDS, float32, NaN where there is nothing.
+    NAME.tif has the class with colours; names are in NAME.tif.aux.xml, as GDAL keeps them, and
+    in NAME.qml, the style that QGIS takes up. NAME.values.tif has the bands of BANDS, float32,
+    NaN where there is nothing.
 
     Raises
     ------
@@ -80,6 +81,7 @@ def write_geotiff(path: Path | str, source: MapSource, choice: Choice) -> tuple[
             for band, top in enumerate(tops[1:], 1):
                 values.write(top, band, window=window)
     write_text(Path(f'{path}.aux.xml'), _names(source.legend, max(found.labels)))
+    write_text(path.with_suffix('.qml'), _style(source.legend, sorted(found.labels)))
     return width, height
 
 
@@ -159,6 +161,16 @@ def _names(legend: Legend, most: int) -> str:
                     '</Category>\n' for c in range(most + 1))
     return ('<PAMDataset>\n  <PAMRasterBand band="1">\n    <CategoryNames>\n' + lines
             + '    </CategoryNames>\n  </PAMRasterBand>\n</PAMDataset>\n')
+
+
+def _style(legend: Legend, labels: list[int]) -> str:
+    """Return QGIS's style with the classes that are there; a colour table has all 256 ids."""
+    rows = ''.join(
+        f'        <paletteEntry value="{c}" label={quoteattr(_plain(legend.name(c)))} '
+        f'color="#{bytes(legend.color(c)).hex()}" alpha="255"/>\n' for c in labels)
+    return ('<qgis>\n  <pipe>\n    <rasterrenderer type="paletted" band="1" opacity="1">\n'
+            f'      <colorPalette>\n{rows}      </colorPalette>\n'
+            '    </rasterrenderer>\n  </pipe>\n</qgis>\n')
 
 
 def _plain(text: str) -> str:

@@ -6,10 +6,11 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.geometry.ground import ground_of, keys_of, NONE, TILE
+from persem_ros.core.geometry.ground import ground_of, TILE
 from persem_ros.core.memory.pools import SIDE
 from persem_ros.outputs.grid.cells import cell_size, Cells, cells_of, MOST_CELLS
 from persem_ros.outputs.grid.rule import costs_of, lowest_of, Rule, UNKNOWN_CLASS, UNKNOWN_COST
+from persem_ros.outputs.grid.tiles import Tiles
 
 MARGIN = 64             # cells by which the rectangle grows, so that it rarely does
 
@@ -33,7 +34,7 @@ class Layers:
     Costs and classes of all cells, kept up to date by what changed.
 
     What an update costs grows with what changed and with the ground around it (2 grid.window
-    columns), not with the map; only a rectangle that grows is copied.
+    columns), not with the map; a rectangle that grows is copied, and 16 bytes a tile.
 
     Parameters
     ----------
@@ -58,12 +59,7 @@ class Layers:
     def _clear(self) -> None:
         """Know nothing."""
         self._blocks: dict[tuple[int, int], dict[int, tuple[Any, Any]]] = {}
-        self._keys = np.empty(0, np.int64)          # of tiles, sorted; the rows below are too
-        self._tiles = np.empty((0, 2), np.int32)
-        self._lowest = np.empty((0, TILE), np.int32)
-        self._level = np.empty((0, TILE), np.int32)
-        self._cost = np.empty((0, TILE), np.int8)
-        self._label = np.empty((0, TILE), np.uint16)
+        self._tiles = Tiles()
         size = cell_size(self._resolution, self._voxel_size)
         self.cells = Cells((0, 0), size, np.empty((0, 0), np.int8), np.empty((0, 0), np.uint16))
 
@@ -79,16 +75,16 @@ class Layers:
             The rectangle is another one: nothing that was told of it holds.
 
         """
-        grown = changed.anew and bool(len(self._keys))
+        grown = changed.anew and bool(len(self._tiles))
         if changed.anew:
             self._clear()
         tiles = self._take(changed)
         if not len(tiles):
             return None, grown
-        rows = self._rows_of(tiles)
+        rows = self._tiles.rows(tiles)
         lowest = self._lowest_of(rows)
-        lower = rows[(lowest != self._lowest[rows]).any(axis=1)]
-        self._lowest[rows] = lowest
+        lower = rows[(lowest != self._tiles.get('lowest', rows)).any(axis=1)]
+        self._tiles.put('lowest', rows, lowest)
         rows = np.union1d(rows, self._ground(lower))
         self._price(rows)
         return self._draw(rows, grown)
@@ -112,24 +108,10 @@ class Layers:
         touched = np.concatenate([changed.index[:, :2], changed.forgotten[:, :2]])
         return np.unique(touched.astype(np.int32), axis=0)
 
-    def _rows_of(self, tiles: NDArray[np.int32]) -> NDArray[np.int64]:
-        """Return the tiles' rows, new ones made."""
-        wanted = np.sort(keys_of(tiles))
-        fresh = wanted[~np.isin(wanted, self._keys)]
-        if len(fresh):
-            place = np.searchsorted(self._keys, fresh)
-            order = np.argsort(keys_of(tiles))
-            new = tiles[order][~np.isin(wanted, self._keys)]
-            self._keys = np.insert(self._keys, place, fresh)
-            self._tiles = np.insert(self._tiles, place, new, axis=0)
-            for name, value in (('_lowest', NONE), ('_level', NONE), ('_cost', UNKNOWN_COST),
-                                ('_label', UNKNOWN_CLASS)):
-                setattr(self, name, np.insert(getattr(self, name), place, value, axis=0))
-        return np.searchsorted(self._keys, wanted)
-
     def _voxels(self, rows: NDArray[np.int64]) -> tuple[Any, Any, Any]:
         """Return (voxels, labels, place among *rows* of each) of tiles."""
-        parts = [(voxel, label, place) for place, (x, y) in enumerate(self._tiles[rows].tolist())
+        parts = [(voxel, label, place) for place, (x, y) in enumerate(
+                     self._tiles.get('tile', rows).tolist())
                  for voxel, label in self._blocks.get((x, y), {}).values()]
         if not parts:
             return np.empty((0, 3), np.int32), np.empty(0, np.uint16), np.empty(0, np.int64)
@@ -145,44 +127,39 @@ class Layers:
         if not len(lower):
             return lower
         reach = -(-2 * self._rule.window // SIDE)
-        around = self._near(lower, reach)
-        wide = self._near(around, reach)
-        level = ground_of(self._tiles[wide], self._lowest[wide], self._rule.window).level
-        level = level[np.searchsorted(wide, around)]
-        other = (level != self._level[around]).any(axis=1)
-        self._level[around] = level
+        tiles = self._tiles
+        around = tiles.near(lower, reach)
+        wide = tiles.near(around, reach)
+        level = ground_of(tiles.get('tile', wide), tiles.get('lowest', wide),
+                          self._rule.window).level[np.searchsorted(wide, around)]
+        other = (level != tiles.get('level', around)).any(axis=1)
+        tiles.put('level', around, level)
         return around[other]
-
-    def _near(self, rows: NDArray[np.int64], reach: int) -> NDArray[np.int64]:
-        """Return the rows, sorted, of all known tiles within *reach* tiles."""
-        steps = np.arange(-reach, reach + 1, dtype=np.int64)
-        found = self._keys[rows]
-        for unit in (1, 1 << 32):       # along j, then along i
-            found = np.unique(found[:, None] + steps * unit)
-        place = np.searchsorted(self._keys, found).clip(max=len(self._keys) - 1)
-        return np.unique(place[self._keys[place] == found])
 
     def _price(self, rows: NDArray[np.int64]) -> None:
         """Compute the costs and classes of tiles."""
         voxel, label, place = self._voxels(rows)
-        self._cost[rows], self._label[rows] = costs_of(voxel, label, place, self._level[rows],
-                                                       self._rule)
+        cost, classes = costs_of(voxel, label, place, self._tiles.get('level', rows), self._rule)
+        self._tiles.put('cost', rows, cost)
+        self._tiles.put('label', rows, classes)
 
     def _draw(self, rows: NDArray[np.int64], grown: bool
               ) -> tuple[tuple[int, int, int, int], bool]:
         """Enter tiles into the rectangle of cells."""
+        tiles = self._tiles
+        drawn = tiles.get('tile', rows)
         low, high = (self._cell_of(corner) for corner in (
-            self._tiles[rows].min(axis=0) * SIDE, self._tiles[rows].max(axis=0) * SIDE + SIDE - 1))
+            drawn.min(axis=0) * SIDE, drawn.max(axis=0) * SIDE + SIDE - 1))
         grown |= self._reserve(low, high + 1)
         # A cell at the edge has columns of tiles around, which are as they were.
-        wide = self._near(rows, 1 + int(self.cells.size / self._voxel_size) // SIDE) \
+        wide = tiles.near(rows, 1 + int(self.cells.size / self._voxel_size) // SIDE) \
             if self.cells.size != self._voxel_size else rows
-        part = cells_of(self._tiles[wide], self._cost[wide], self._label[wide],
-                        self._voxel_size, self._resolution, self._tie)
+        part = cells_of(tiles.get('tile', wide), tiles.get('cost', wide),
+                        tiles.get('label', wide), self._voxel_size, self._resolution, self._tie)
         corner = np.array(self.cells.corner)
         x0, y0 = (low - corner).tolist()
         x1, y1 = (high + 1 - corner).tolist()
-        mask = self._touched(rows, low, high)
+        mask = self._touched(drawn, low, high)
         for name, blank in (('cost', UNKNOWN_COST), ('label', UNKNOWN_CLASS)):
             source = getattr(part, name)
             fresh = np.full(mask.shape, blank, source.dtype)
@@ -198,12 +175,12 @@ class Layers:
             target[mask] = fresh[mask]
         return (x0, y0, x1, y1), grown
 
-    def _touched(self, rows: NDArray[np.int64], low: NDArray[np.int64],
+    def _touched(self, tiles: NDArray[np.int32], low: NDArray[np.int64],
                  high: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Return which cells of low .. high have columns of the tiles."""
         mask = np.zeros((high - low + 1)[::-1], bool)
         place = np.arange(TILE)
-        columns = (self._tiles[rows].astype(np.int64)[:, None] * SIDE
+        columns = (tiles.astype(np.int64)[:, None] * SIDE
                    + np.stack([place >> 3, place & 7], axis=1)).reshape(-1, 2)
         cells = self._cell_of(columns) - low
         mask[cells[:, 1], cells[:, 0]] = True
