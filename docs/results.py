@@ -40,7 +40,7 @@ IGNORED = ['--set', 'memory.ignore_labels=[0,255,65535]']
 def commands():
     """Return the commands as lists of words, {name of the result: words}."""
     two = FLIGHTS[:2]
-    town = ['town-lidar', '--labels', 'uavscenes']
+    town = ['town-depth', '--labels', 'uavscenes']
 
     def simulate(name, seed, *words):
         return name, ['simulate', name, '--seed', str(seed), *words]
@@ -73,7 +73,6 @@ def commands():
         *(simulate(name, seed, *small) for seed, name in enumerate(SMALL, 1)),
         *(simulate(name, seed, *small, '--difficulty', f'{factor:g}')
           for name, (factor, seed) in HARD.items()),
-        uavscenes('town-lidar'),
         uavscenes('town-depth', '--depth', f'{EXTRAS}/depth_cm_u16', '--depth-unit', 'cm'),
         frames('kitchen', 'KITCHEN'),
         *(frames(f'patch-{which}', 'PATCH', '--labels', f'frame-*.{which}.png', '--truth',
@@ -82,12 +81,12 @@ def commands():
         evaluate('small', *SMALL, *label, '--methods', FOUR, '--no-figures'),
         evaluate('town-single', *town), evaluate('town-grouped', *town, '--grouped'),
         *(evaluate(f'{name}-four', name, *words, '--methods', FOUR) for name, words in (
-            ('town-depth', town[1:]), ('patch-good', IGNORED), ('patch-weak', IGNORED))),
+            ('patch-good', IGNORED), ('patch-weak', IGNORED))),
         evaluate('kitchen-fine', 'kitchen', '--set', 'memory.voxel_size=0.03', '--set',
                  'memory.ignore_labels=0,255,65535'),
         evaluate('town-all', 'town-depth', '--methods', FOUR, '--no-figures'),
         each('ablations', ABLATIONS, *SMALL[:4], *label),
-        each('ablations-town', ABLATIONS, 'town-depth', *town[1:]),
+        each('ablations-town', ABLATIONS, *town),
         *(each(f'ablations-{which}', ABLATIONS, f'patch-{which}', *IGNORED)
           for which in ('good', 'weak')),
         evaluate('hard', *SMALL[:2], *HARD, *label, '--methods', FOUR, '--no-figures'),
