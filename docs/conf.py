@@ -15,7 +15,8 @@ release = version = __version__
 extensions = ['myst_parser', 'sphinx.ext.autodoc', 'sphinx.ext.napoleon']
 html_theme = 'sphinx_rtd_theme'         # that of docs.ros.org
 html_title = 'persem_ros'
-html_static_path: list[str] = []
+html_static_path = ['static']
+html_css_files = ['persem.css']
 exclude_patterns = ['site', 'Thumbs.db']
 myst_heading_anchors = 4                # links like results.md#how-it-is-measured
 suppress_warnings = ['myst.xref_ambiguous']

@@ -73,7 +73,7 @@ class Map:
 
     @property
     def classes(self) -> dict[int, str]:
-        """Return {id: name} of the legend."""
+        """Return the names of the legend by their ids."""
         return {c: self.legend.name(c) for c in self.legend.ids}
 
     @property

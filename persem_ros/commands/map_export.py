@@ -123,7 +123,7 @@ def _grid(out: str, source: MapSource, choice: Choice) -> str:
     known = cells.cost[cells.cost >= 0]
     return (f'{cells.cost.shape[1]} x {cells.cost.shape[0]} cells of {cells.size:g} m written to '
             f'{out}/map.yaml: {(known < 100).sum()} passable, {(known == 100).sum()} lethal, '
-            f'{(cells.cost < 0).sum()} unknown')
+            f'{(cells.cost < 0).sum()} unknown (nothing was seen there, or no ground)')
 
 
 def _tiles(out: str, source: MapSource, choice: Choice) -> str:

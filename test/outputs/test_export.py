@@ -316,7 +316,8 @@ def test_several_at_once_and_what_is_refused(town, tmp_path, capsys):
     assert (status, err) == (0, '')
     assert said.splitlines() == [
         f'607 of 628 voxels written to {out}/a.ply', f'607 of 628 voxels written to {out}/a.npz',
-        f'40 x 15 cells of 0.5 m written to {out}/map.yaml: 598 passable, 1 lethal, 1 unknown']
+        f'40 x 15 cells of 0.5 m written to {out}/map.yaml: 598 passable, 1 lethal, 1 unknown '
+        '(nothing was seen there, or no ground)']
     for words, sentence in [
             ([], 'nothing to write: give at least one of --ply'),
             (['--grid', out], 'map.yaml exists; give another name with --grid, or --force'),

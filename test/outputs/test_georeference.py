@@ -175,6 +175,18 @@ def test_rasters_and_points_lie_where_the_place_says(tmp_path):
     assert np.ravel(values).tolist() == [1] * 20
 
 
+@pytest.mark.parametrize(('option', 'library'), [('--laz', 'lazrs'), ('--geotiff', 'rasterio')])
+def test_nothing_is_written_in_a_system_that_does_not_exist(tmp_path, capsys, option, library):
+    pytest.importorskip(library, reason='needs the extra gis')
+    flight(tmp_path / 'm.persem')
+    assert main(['map', 'export', str(tmp_path / 'm.persem'), option, str(tmp_path / 'a'),
+                 '--set', 'map.crs=EPSG:99999']) == 1
+    out, err = capsys.readouterr()
+    assert out == '' and len(err.splitlines()) == 1
+    assert "there is no coordinate reference system 'EPSG:99999'" in err
+    assert [p.name for p in tmp_path.iterdir()] == ['m.persem']
+
+
 @pytest.mark.parametrize('row', ['9' * 30 + ',48,11,500', '-1,48,11,500', '1,48,11', 'a,48,11,5',
                                  '1.5e3,48,11,500', '9' * 5000 + ',1,2,3', '1,nan,11,x'])
 def test_a_table_with_what_is_no_fix(tmp_path, row):

@@ -5,7 +5,10 @@ import http.client
 import json
 import os
 from pathlib import Path
+import re
+import shutil
 import socket
+import subprocess
 import threading
 
 import core_worlds as cw
@@ -219,6 +222,22 @@ def test_a_port_in_use_and_ports_that_are_none(server, path, capsys):
                                        '--port, or --port 0 for any that is free\n')
     assert main(['map', 'view', str(path), '--port', '70000']) == 1
     assert 'expected a number from 1 to 65535' in capsys.readouterr().err
+
+
+def test_a_browser_without_webgl_says_so(server, tmp_path):
+    browser = next(filter(None, map(shutil.which, (
+        'chromium', 'chromium-browser', 'google-chrome'))), None)
+    if browser is None:
+        pytest.skip('needs Chromium')
+    done = subprocess.run(
+        [browser, '--headless', '--no-sandbox', '--disable-3d-apis', '--no-first-run',
+         f'--user-data-dir={tmp_path}', '--virtual-time-budget=5000', '--dump-dom',
+         server.address], capture_output=True, text=True, timeout=60)
+    note = re.search('<p id="note"[^>]*>([^<]*)<', done.stdout).group(1)
+    assert note == ('This page draws with WebGL 2, which this browser does not offer or has '
+                    'switched off; try another one, or persem map export --ply for a desktop '
+                    'program.')
+    assert re.search('<canvas id="map"[^>]* hidden', done.stdout)
 
 
 def test_maps_that_are_none(tmp_path, capsys):
