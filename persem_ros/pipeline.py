@@ -8,7 +8,7 @@ the same map from the same frames.
 
 from __future__ import annotations
 
-from typing import Any, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,23 +32,23 @@ class Pipeline:
 
     Parameters
     ----------
-    config : persem_ros.settings.config.Config
-    memory : core.memory.voxel_memory.VoxelMemory, optional
+    config : Config
+    memory : VoxelMemory, optional
         A map to go on with; its voxel size, origin and history bound hold.
 
     """
 
-    def __init__(self, config: Config, memory: Any = None) -> None:
+    def __init__(self, config: Config, memory: VoxelMemory | None = None) -> None:
         self.config = config
         self.memory = memory or VoxelMemory(
             config.memory.voxel_size, config.map.origin, config.memory.max_history)
 
     def observe(self, frame: Frame) -> Observations:
-        """Return what a frame (persem_ros.frames.Frame) says about each voxel it sees."""
+        """Return what a frame says about each voxel it sees."""
         return self._observed(thinned(frame, self.config.memory))
 
     def add(self, frame: Frame) -> Observations:
-        """Integrate a frame; return its Observations."""
+        """Integrate a frame; return its observations."""
         observations = self.observe(frame)
         if self.memory.pager is not None:
             self.memory.pager.need_voxels(observations.voxels)
@@ -64,7 +64,8 @@ class Pipeline:
         job = begin_next(self.memory, self.config.refine)
         return finish(job, *job.compute())
 
-    def render(self, frame: Frame, observations: Any = None) -> NDArray[np.int32]:
+    def render(
+            self, frame: Frame, observations: Observations | None = None) -> NDArray[np.int32]:
         """
         Return the refined label image of a frame, int32 on the labels' grid.
 

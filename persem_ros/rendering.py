@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,13 +30,13 @@ class Rendering:
 
     Attributes
     ----------
-    images : dict of str to ndarray, shape (h, w), int32
+    images : dict of (h, w) int32
         Labels by method; UNKNOWN (65535) where a method has none.
     voxels : ndarray, shape (h, w), int32
         Voxel numbers, -1 for none.
     labels : ndarray, shape (h, w), int32
         The input labels.
-    truth : ndarray, shape (h, w), int32, or None
+    truth : ndarray, shape (h, w), int32, optional
     valid : ndarray, shape (h, w), bool
         The pixels that count (spec section 6).
     published : ndarray, shape (H, W), int32
@@ -43,12 +44,12 @@ class Rendering:
 
     """
 
-    images: dict[Any, Any]
-    voxels: np.ndarray
-    labels: np.ndarray
-    truth: np.ndarray
-    valid: np.ndarray
-    published: np.ndarray
+    images: dict[str, NDArray[np.int32]]
+    voxels: NDArray[np.int32]
+    labels: NDArray[np.int32]
+    truth: NDArray[np.int32] | None
+    valid: NDArray[np.bool_]
+    published: NDArray[np.int32]
 
 
 class Renderer:
@@ -57,19 +58,20 @@ class Renderer:
 
     Parameters
     ----------
-    pipeline : persem_ros.pipeline.Pipeline
-    methods : sequence of str
+    pipeline : Pipeline
+    methods : sequence
         Image-space and voxel methods; the pipeline's own refine.method comes from the map
         itself, the others from a labelling of their own.
 
     """
 
-    def __init__(self, pipeline: Pipeline, methods: tuple[str, ...]) -> None:
+    def __init__(self, pipeline: Pipeline, methods: Sequence[str]) -> None:
         self.pipeline, self.methods = pipeline, tuple(methods)
-        self._labels: dict[Any, Any] = {}       # method -> labels of its own, by voxel number
-        self._gathered: dict[Any, Any] = {}     # method -> labels of all voxels of today
-        self._gathered_at = None
-        self._smoothers: dict[Any, Any] = {}
+        # By method: labels of its own, by voxel number, and those of all voxels of today.
+        self._labels: dict[str, NDArray[np.uint16]] = {}
+        self._gathered: dict[str, NDArray[np.uint16]] = {}
+        self._gathered_at: int | None = None
+        self._smoothers: dict[str, EmaImages] = {}
 
     def restart(self) -> None:
         """Smooth no image with one of another recording."""
@@ -84,7 +86,7 @@ class Renderer:
         self._gathered_at = None
 
     def render(self, frame: Frame, observations: Observations | None = None) -> Rendering:
-        """Return the Rendering of a frame; observations save placing its pixels again."""
+        """Render a frame; observations save placing its pixels again."""
         config = self.pipeline.config
         voxels = self.pipeline.voxel_image(frame, observations)
         labels = on_depth(frame, frame.labels)
@@ -146,7 +148,7 @@ def _still(settings: Memory) -> Memory:
     return replace(settings, dynamic_labels=(-1,))
 
 
-def _any_of(labels: NDArray[np.int32], ids: tuple[int]) -> Any:
+def _any_of(labels: NDArray[np.int32], ids: Sequence[int]) -> NDArray[np.bool_] | None:
     """Return the mask of the labels that are among *ids*, None where no id can be."""
     ids = [c for c in ids if c >= 0]
     return np.logical_or.reduce([labels == c for c in ids]) if ids else None

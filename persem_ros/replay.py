@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, ExitStack, nullcontext
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, ExitStack, nullcontext
 import logging
 from pathlib import Path
-from typing import Any, TYPE_CHECKING
+from typing import Any, Protocol, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,28 +49,37 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 
+class Watcher(Protocol):
+    """Who is told of every rendered frame, and at the end of the content of metrics.json."""
+
+    def frame(self, replay: Replay, frame: Frame, rendering: Rendering) -> None:
+        """Hear of a rendered frame."""
+
+    def finish(self, replay: Replay, result: dict[str, Any]) -> None:
+        """Hear of the end."""
+
+
 class Replay:
     """
     One replay of one or more recordings into one folder.
 
     Parameters
     ----------
-    recording : persem_ros.inputs.recording.sessions.Sessions
+    recording : Sessions
     folder : Path
         Where the results go (outputs.results.rundir.building).
-    config : persem_ros.settings.config.Config
-    methods : sequence of str
+    config : Config
+    methods : sequence
         Methods to be measured; refine.method is among them.
-    watchers : sequence
-        Each is told of every rendered frame: watcher.frame(replay, frame, rendering); and at the
-        end: watcher.finish(replay, result).
-    memory : persem_ros.core.memory.voxel_memory.VoxelMemory, optional
+    watchers : sequence of Watcher
+    memory : VoxelMemory, optional
         A map to go on with.
 
     """
 
-    def __init__(self, recording: Recording, folder: Path, config: Config,
-                 methods: tuple[str, ...], watchers: list[Any] = (), memory: Any = None) -> None:
+    def __init__(self, recording: Sessions, folder: Path, config: Config,
+                 methods: Sequence[str], watchers: Sequence[Watcher] = (),
+                 memory: VoxelMemory | None = None) -> None:
         self.recording, self.folder, self.config = recording, folder, config
         self.out = folder       # where the folder's files end up
         self.methods, self.watchers = tuple(methods), tuple(watchers)
@@ -79,7 +88,7 @@ class Replay:
         self.advice = Advice(config, self.legend)
         self.pipeline = Pipeline(config, memory)
         self.renderer = Renderer(self.pipeline, self.methods)
-        self.metrics = Metrics(self.methods)
+        self.metrics = Metrics(list(self.methods))
         self.frames, self.causal = 0, False
         self.storage = 'mcap'   # of refined/
         self._session = self._measured = 0
@@ -112,7 +121,7 @@ class Replay:
     def run_causal(self) -> dict[str, Any]:
         """Integrate, refine when it is time, render: what a node would have published."""
         self.causal, period = True, int(self.config.refine.period * 1e9)
-        refined_at = None
+        refined_at: int | None = None
         with self._refined() as refined, self._behind() as later:
             with self._read('mapping', truth=True, color=bool(self.watchers)) as frames:
                 for session, frame in frames:
@@ -145,9 +154,11 @@ class Replay:
             return 'no pixel has depth, a label that counts and a truth that counts'
         return ''
 
-    def _read(self, what: str, **wanted: Any) -> Any:
+    def _read(
+            self, what: str, truth: bool = False, color: bool = False
+    ) -> AbstractContextManager[Iterable[tuple[int, Frame]]]:
         """Give the recording's frames, read ahead, with a progress bar on a terminal."""
-        frames = read_ahead(self.watch.iterate('read', self.recording.frames(**wanted)))
+        frames = read_ahead(self.watch.iterate('read', self.recording.frames(truth, color)))
         return progress(frames, what, self.recording.expected)
 
     def _begin(self, session: int) -> None:
@@ -183,7 +194,7 @@ class Replay:
         for note in self.advice.about_voxels(memory):
             log.warning(note)
 
-    def _refine(self, full: Any = True) -> None:
+    def _refine(self, full: bool = True) -> None:
         """Refine the map, or what is next in turn; label it by the other methods."""
         with self.watch('refine'):
             if full:
@@ -215,7 +226,7 @@ class Replay:
         return RefinedWriter(self.folder / 'refined', self.legend, self.config, self.watch,
                              self.storage)
 
-    def _behind(self) -> Any:
+    def _behind(self) -> AbstractContextManager[Callable[..., None]]:
         """Return what writes beside the rendering; sqlite3 is bound to one thread."""
         return WriteBehind() if self.storage == 'mcap' else nullcontext(at_once)
 
@@ -245,27 +256,28 @@ class Replay:
         return result
 
 
-def at_once(function: Any, *arguments: Any) -> None:
+def at_once(function: Callable[..., object], *arguments: Any) -> None:
     """Call a function, as WriteBehind does later."""
     function(*arguments)
 
 
-def replay(path: Path | str, out: Path | str, config: Config, methods: Sequence[str] | None = None,
-           causal: bool = False, force: bool = False, watchers: Sequence[Any] = (),
-           report: bool = True, excerpt: Any = WHOLE, trajectory: Trajectory | None = None,
+def replay(path: Path | str | Sequence[Path | str], out: Path | str, config: Config,
+           methods: Sequence[str] | None = None, causal: bool = False, force: bool = False,
+           watchers: Sequence[Watcher] = (), report: bool = True, excerpt: Excerpt = WHOLE,
+           trajectory: Trajectory | None = None,
            storage: str = 'mcap') -> dict[str, Any]:
     """
     Replay a recording into a folder (spec section 8).
 
     Parameters
     ----------
-    path : str, Path or sequence of these
+    path : path, or sequence of these
         A rosbag2 recording, or several in a row: each is a session of one map.
-    out : str or Path
+    out : path
         The folder of the results.
-    config : persem_ros.settings.config.Config
+    config : Config
         All settings.
-    methods : sequence of str, optional
+    methods : sequence, optional
         What is measured besides refine.method, ('all',) for everything; raw2d and majority by
         default.
     causal : bool
@@ -276,9 +288,9 @@ def replay(path: Path | str, out: Path | str, config: Config, methods: Sequence[
         See Replay; the report is one more.
     report : bool
         Write report.html.
-    excerpt : persem_ros.inputs.recording.excerpt.Excerpt
+    excerpt : Excerpt
         Which frames of each recording are used.
-    trajectory : persem_ros.core.trajectory.Trajectory, optional
+    trajectory : Trajectory, optional
         Corrects the poses of the recording of its time; else that on topics.trajectory, where
         there is one, does.
     storage : str
@@ -311,7 +323,7 @@ def replay(path: Path | str, out: Path | str, config: Config, methods: Sequence[
             job.out, job.storage = Path(out), storage
             result = job.run_causal() if causal else job.run()
             if lock is not None:        # the whole session, or nothing of it
-                store.save(config.map.path, job.pipeline.memory, config, job.legend)
+                store.save(Path(config.map.path), job.pipeline.memory, config, job.legend)
             return result
 
 
@@ -371,14 +383,14 @@ def chosen_methods(methods: Sequence[str] | None, config: Config) -> tuple[str, 
     return tuple(dict.fromkeys(methods + [config.refine.method]))
 
 
-def chosen_legend(config: Config, recording: Recording) -> Legend:
+def chosen_legend(config: Config, recording: Recording | Sessions) -> Legend:
     """Return the legend of labels.legend, else the recording's, else one of made-up colours."""
     text = recording.legend_text        # that of labels.legend where it is set
     legend = Legend.from_yaml(text, "the recording's legend") if text else Legend()
     return legend.ignoring(config.memory.ignore_labels)
 
 
-def start_map(config: Config) -> Any:
+def start_map(config: Config) -> VoxelMemory | None:
     """Return the memory of map.path to go on with, or None."""
     if not config.map.path:
         return None

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from argparse import _SubParsersAction, Namespace
 
     from persem_ros.outputs.export.source import Choice, MapSource
+    from persem_ros.settings.config import Config
     from persem_ros.settings.legend import Legend
 
 # Option, metavar, help; in the order in which they are written.
@@ -143,10 +144,10 @@ def _where(source: MapSource) -> str:
                                      '(persem map georeference gives one)')
 
 
-def _changed(source: MapSource, items: list[str]) -> Any:
+def _changed(source: MapSource, items: list[str]) -> Config:
     """Return the map's settings with those of --set."""
     from persem_ros.settings import config_file
-    values: dict[str, Any] = dict(map(config_file.parse_item, items))     # type: ignore
+    values = dict(map(config_file.parse_item, items))
     for name in values:
         if not name.startswith(CHANGEABLE):
             raise PersemError(f'--set {name}: the map was made with what it has; expected one of '

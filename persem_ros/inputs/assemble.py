@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, TYPE_CHECKING
+from typing import Any, TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +23,13 @@ from persem_ros.settings.legend import Legend
 
 if TYPE_CHECKING:
     from persem_ros.inputs.sync.pairing import Match
+    from persem_ros.inputs.views import View
 
 OTHER_CAMERA = 'labels of another camera'
 NamesAt = Callable[[int, int], tuple[Legend, NDArray[np.int32] | None]]
+Ids = tuple[NDArray[np.int32], str]     # and their encoding
+Found = TypeVar('Found')
+Scalar = TypeVar('Scalar', bound=np.generic)
 
 
 class Assembler:
@@ -56,12 +60,12 @@ class Assembler:
         self._depth, self._points, self._fit = config.depth, config.points, config.labels.fit
         self._sensor = sensor
         self.given = frame_of(config, sensor)
-        self._matchings: dict = {}
+        self._matchings: dict[tuple[tuple[int, int], tuple[int, int]], Matching | None] = {}
         self._names_at = names_at
         self.reader, self._truth_reader = LabelReader(config.labels), LabelReader(config.labels)
 
     @property
-    def frame_id(self) -> str:
+    def frame_id(self) -> str | None:
         """Return the frame of the first camera info, None before it has come."""
         return self._views.frame_id
 
@@ -89,13 +93,13 @@ class Assembler:
             return messages.disparity(msg, self._depth.scale)
         return messages.depth(msg, self._depth.scale)
 
-    def frame(self, match: Match, decoded: dict[str, Any]) -> tuple[Frame, list[Any]]:
+    def frame(self, match: Match, decoded: dict[str, Any]) -> tuple[Frame, list[BadMessage]]:
         """
         Return the Frame of a match.
 
         Parameters
         ----------
-        match : persem_ros.inputs.sync.pairing.Match
+        match : Match
             With its pose.
         decoded : dict of str to message
             The messages of the match by kind.
@@ -116,28 +120,33 @@ class Assembler:
         label_msg = decoded[LABELS]
         legend, new = self._names_at(match.stamp, getattr(match.items.get(LABELS), 'tables', 0))
 
-        def ids(msg: Any, reader: Any = self.reader) -> Any:
+        def ids(msg: Any, reader: LabelReader = self.reader) -> Ids:
             found, encoding = reader(msg, legend)
             return renamed(found, new), encoding
 
         if is_cloud(label_msg):
             return _named(LABELS, lambda msg: self._cloud(match, msg, new), label_msg), []
         labels, encoding = _named(LABELS, ids, label_msg)
-        depth, view, matching = self._placed(match, decoded, labels.shape)
-        companions, faults = {}, []
+        depth, camera, matching = self._placed(match, decoded, labels.shape)
+        companions: dict[str, NDArray[Any]] = {}
+        faults: list[BadMessage] = []
         truth_of = partial(ids, reader=self._truth_reader)
-        for kind, read in ((TRUTH, _truth_like(labels, truth_of)), (COLOR, messages.color)):
+        readers: dict[str, Callable[[Any], NDArray[Any]]] = {
+            TRUTH: _truth_like(labels, truth_of), COLOR: messages.color}
+        for kind, read in readers.items():
             if kind in decoded:
                 try:
                     companions[kind] = _named(kind, read, decoded[kind])
                 except BadMessage as fault:
                     faults.append(fault)
-        return Frame(match.stamp, labels, depth, view, match.T_map_camera, self._sensor,
+        return Frame(match.stamp, labels, depth, camera, _pose_of(match), self._sensor,
                      messages.frame_id(label_msg), _wide(encoding, new), matching=matching,
                      weights=_weights(labels, decoded.get(CONFIDENCE)),
-                     T_body_camera=match.T_body_camera, **companions), faults
+                     truth=companions.get(TRUTH), color=companions.get(COLOR),
+                     T_body_camera=match.T_body_camera), faults
 
-    def _placed(self, match: Any, decoded: Any, shape: Any) -> Any:
+    def _placed(self, match: Match, decoded: dict[str, Any], shape: tuple[int, int]
+                ) -> tuple[NDArray[np.float64], Camera, Matching | None]:
         """Return depth image, camera and Matching for labels of a *shape* (H, W)."""
         label_msg, depth_msg, T = decoded[LABELS], decoded[DEPTH], match.T_labels_depth
         if is_cloud(depth_msg):
@@ -146,30 +155,30 @@ class Assembler:
             return depth_of_cloud(points.reshape(-1, 3), view, np.eye(4) if T is None else T,
                                   self._points.splat), view.camera, None
         depth = _named(DEPTH, self.depth, depth_msg)
-        if T is None:
-            matching = self._matching(shape, depth.shape)
-        view = self._seen(depth_msg, depth)
+        matching = self._matching(shape, depth.shape) if T is None else None
+        camera = self._seen(depth_msg, depth)
         self._distrust(depth, decoded.get(DEPTH_CONFIDENCE))
         if T is not None:
             matching = registered(depth, self._views.of(depth_msg, *depth.shape[::-1]),
                                   self._label_view(label_msg, depth_msg, T, shape), T)
-        return depth, view, matching
+        return depth, camera, matching
 
-    def _label_view(self, label_msg: Any, depth_msg: Any, T: Any, shape: Any) -> Any:
+    def _label_view(self, label_msg: Any, depth_msg: Any, T: NDArray[np.float64],
+                    shape: tuple[int, int]) -> View:
         """Return the View of labels of another camera than the depth's."""
         if self._label_views.frame_id is None:
             frames = messages.frame_id(label_msg), messages.frame_id(depth_msg)
             raise BadMessage(OTHER_CAMERA, other_camera_sentence(*frames, T))
         return self._label_views.of(label_msg, *shape[::-1])
 
-    def _cloud(self, match: Any, msg: Any, new: Any) -> Any:
+    def _cloud(self, match: Match, msg: Any, new: NDArray[np.int32] | None) -> Frame:
         """Return the Frame of a labelled cloud."""
         cloud = clouds.structured(msg)
         points = clouds.positions(cloud)
         labels = renamed(clouds.labels(cloud, self._points.label_field), new)
         distance = np.linalg.norm(points, axis=2)
         camera = Camera(np.zeros((*labels.shape, 2)), np.eye(3), messages.frame_id(msg))
-        return Frame(match.stamp, labels, distance, camera, match.T_map_camera, self._sensor,
+        return Frame(match.stamp, labels, distance, camera, _pose_of(match), self._sensor,
                      messages.frame_id(msg), 'mono16', points=points,
                      cloud=Cloud(cloud, self._points.label_field),
                      T_body_camera=match.T_body_camera)
@@ -225,13 +234,19 @@ def other_camera_sentence(labels: str, depth: str, T_labels_depth: NDArray[np.fl
             'image, for which the intrinsics of that are needed: --set topics.labels_info=TOPIC')
 
 
-def resampled(labels: NDArray[np.int32], shape: tuple[int, int]) -> NDArray[np.int32]:
+def resampled(labels: NDArray[Scalar], shape: tuple[int, int]) -> NDArray[Scalar]:
     """Return *labels* (H, W) on a grid of another *shape* by nearest pixel centres."""
     if labels.shape == shape:
         return labels
     rows, columns = (((np.arange(n) + 0.5) * m / n).astype(int)
                      for n, m in zip(shape, labels.shape))
     return labels[rows[:, None], columns]
+
+
+def _pose_of(match: Match) -> NDArray[np.float64]:
+    """Return T_map_camera of a match that has left."""
+    assert match.T_map_camera is not None, 'an Intake lets no match leave without a pose'
+    return match.T_map_camera
 
 
 def _weights(labels: NDArray[np.int32], msg: Any) -> NDArray[np.uint32] | None:
@@ -251,7 +266,8 @@ def _wide(encoding: str, new: NDArray[np.int32] | None) -> str:
     return 'mono16' if new is not None and encoding in ('mono8', '8UC1') else encoding
 
 
-def _truth_like(labels: NDArray[np.int32], ids: Any) -> Callable[..., Any]:
+def _truth_like(labels: NDArray[np.int32],
+                ids: Callable[[Any], Ids]) -> Callable[[Any], NDArray[np.int32]]:
     """Return a reader of truth images on the grid of *labels*; ids(msg) reads one."""
     def read(msg: Any) -> NDArray[np.int32]:
         truth, _ = ids(msg)
@@ -263,9 +279,7 @@ def _truth_like(labels: NDArray[np.int32], ids: Any) -> Callable[..., Any]:
     return read
 
 
-def _named(
-        kind: str, read: Callable[..., Any], msg: Any
-) -> NDArray[Any] | tuple[NDArray[np.int32], str]:
+def _named(kind: str, read: Callable[[Any], Found], msg: Any) -> Found:
     """Read a message; a fault's reason starts with the topic's *kind*."""
     try:
         return read(msg)

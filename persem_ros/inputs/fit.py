@@ -42,8 +42,9 @@ def matching(labels: tuple[int, int], depth: tuple[int, int], fit: str) -> Match
     if fit != 'stretch':
         scales = (max(scales) if fit == 'crop' else min(scales),) * 2
     rows, columns = (_along(n, m, scale) for n, m, scale in zip(depth, labels, scales))
-    back = [_along(m, n, 1.0 / scale) for n, m, scale in zip(depth, labels, scales)]
-    return Matching(_flat(rows, columns, W), _flat(*back, w))
+    back_rows, back_columns = (_along(m, n, 1.0 / scale)
+                               for n, m, scale in zip(depth, labels, scales))
+    return Matching(_flat(rows, columns, W), _flat(back_rows, back_columns, w))
 
 
 def _along(n: int, m: int, scale: float) -> NDArray[np.int64]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 import heapq
-from typing import Any, NamedTuple, TYPE_CHECKING
+from typing import Any, NamedTuple, TYPE_CHECKING, Union
 
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.core.transforms import inverse
 from persem_ros.inputs.assemble import Assembler, OTHER_CAMERA, other_camera_sentence
 from persem_ros.inputs.decode import clouds, legends, messages
@@ -15,7 +16,7 @@ from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.names import Names
 from persem_ros.inputs.sync.pairing import (
     COLOR, CONFIDENCE, DEPTH, DEPTH_CONFIDENCE, KEEP, LABELS, repeated, Synchronizer, TRUTH)
-from persem_ros.inputs.sync.poses import NO_MOUNT, OTHER_FRAME, UNSAID
+from persem_ros.inputs.sync.poses import NO_MOUNT, OTHER_FRAME, PoseBuffer, UNSAID
 from persem_ros.inputs.sync.track import Lookup
 
 if TYPE_CHECKING:
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 
     from persem_ros.frames import Frame
     from persem_ros.inputs.sync.pairing import Match
-    from persem_ros.inputs.sync.poses import PoseBuffer
     from persem_ros.settings.config import Config
 
 # At one stamp: whatever completes goes last.
@@ -39,6 +39,8 @@ NO_TIE = 'no transform between cloud and labels'
 SAME = 1e-6         # between two matrices of one place, metres
 QUEUE_BYTES = 256 << 20
 READY_MAX = 64          # matches of some cameras that wait for those of another
+# decode(data, typename) gives a message; BadMessage where its bytes are damaged.
+Decode = Callable[[Union[bytes, memoryview], str], Any]
 
 
 class Raw(NamedTuple):
@@ -74,6 +76,9 @@ class Station:
         self.poses = poses
 
 
+Taker = Union[Station, PoseBuffer, None]    # of a message: a camera, its poses, or all cameras
+
+
 class Intake:
     """
     Takes messages, pairs and places them, gives frames.
@@ -98,36 +103,38 @@ class Intake:
 
     Attributes
     ----------
-    stations : list of Station
+    stations : list
         The cameras, in the order of their numbers.
-    examples : dict of str to str
+    examples : dict
         One whole sentence for reasons that have one.
-    names : persem_ros.inputs.names.Names
+    names : Names
         The classes of the map.
 
     """
 
-    def __init__(self, config: Config, decode: Callable[..., Any], dropped: Counter[Any],
+    def __init__(self, config: Config, decode: Decode, dropped: Counter[str],
                  patient: bool = False, pose_wait: float | None = None, keep: float = KEEP,
                  max_bytes: int = QUEUE_BYTES) -> None:
         """Start without cameras."""
         self.config = config
-        self.stations = []
+        self.stations: list[Station] = []
         self.dropped = dropped
-        self.examples = {}
+        self.examples: dict[str, str] = {}
         self.names = Names(config)
         self._decode = decode
         self._waits = patient, pose_wait, keep, max_bytes
-        self._ready = []        # matches of all cameras, a heap
-        self._missed = {}       # reason -> what a lookup without a pose was for
+        # Matches of all cameras with their stamps and the cameras' numbers, a heap.
+        self._ready: list[tuple[int, int, Match]] = []
+        # By reason, what a lookup without a pose was for: the stamp and frame asked for.
+        self._missed: dict[str, tuple[PoseBuffer, int, str]] = {}
 
     @property
-    def offset(self) -> Any:
+    def offset(self) -> int:
         """Return what is added to the stamps of label images, ns."""
         return round(self.config.sync.offset_labels * 1e9)
 
-    def add_camera(self, name: str, poses: PoseBuffer, companions: list[str] = (),
-                   needed: Any = (DEPTH,)) -> Station:
+    def add_camera(self, name: str, poses: PoseBuffer, companions: Sequence[str] = (),
+                   needed: Sequence[str] = (DEPTH,)) -> Station:
         """
         Add a camera whose poses come from the PoseBuffer *poses*; return its Station.
 
@@ -141,9 +148,7 @@ class Intake:
         self.stations.append(Station(sync, assembler, poses))
         return self.stations[-1]
 
-    def take(
-            self, role: str, taker: Station | PoseBuffer, kind: str, now: int, data: bytes
-    ) -> None:
+    def take(self, role: str, taker: Taker, kind: str, now: int, data: bytes) -> None:
         """
         Take one message; call `leaving` afterwards.
 
@@ -151,8 +156,8 @@ class Intake:
         ----------
         role : str
             'labels', 'depth', 'truth', 'color', 'camera_info', 'pose', 'tf' or 'tf_static'.
-        taker : Station or PoseBuffer
-            Whose message it is: poses and transforms go to a buffer.
+        taker : Station, PoseBuffer or None
+            Whose message it is: poses and transforms go to a buffer, names of classes to none.
         kind : str
             The message type, 'sensor_msgs/msg/Image'.
         now : int
@@ -181,19 +186,19 @@ class Intake:
             if frame is not None:
                 yield frame
 
-    def may_leave(self, stamp: Any, number: Any, match: Any, now: Any) -> None:
+    def may_leave(self, stamp: int, number: int, match: Match, now: int) -> bool:
         """Whether no camera can have an earlier match than this one of camera *number*."""
         raise NotImplementedError
 
-    def wanted(self, match: Match, number: Any) -> bool:
+    def wanted(self, match: Match, number: int) -> bool:
         """Whether a match that leaves, of camera *number*, is to become a frame."""
         return True
 
-    def untied(self, frame_id: Any, other: Any) -> bool:
+    def untied(self, frame_id: str, other: str) -> bool:
         """Whether frames that nothing ties to each other are to be taken as one camera's."""
         return True
 
-    def left(self, station: Any, stamp: Any) -> None:
+    def left(self, station: Station, stamp: int) -> None:
         """Take note that the match of *stamp* has left."""
 
     def oldest_pending(self, default: int) -> int:
@@ -205,7 +210,7 @@ class Intake:
         """Hand an image to its synchroniser."""
         station.sync.push(role, stamp, raw, len(raw.data), now)
 
-    def no_mount(self, reason: Any, sentence: Any) -> None:
+    def no_mount(self, reason: str, sentence: str) -> None:
         """Tell that poses do not lead to the camera, yet: *sentence* says what is missing."""
         self.examples[reason] = sentence
 
@@ -222,10 +227,9 @@ class Intake:
         for station in self.stations:
             station.sync.clear()
 
-    def _take(
-            self, role: str, taker: Station | PoseBuffer, kind: str, now: int, data: bytes
-    ) -> None:
+    def _take(self, role: str, taker: Taker, kind: str, now: int, data: bytes) -> None:
         if role in ORDER:
+            assert isinstance(taker, Station)
             stamp, frame_id = messages.header(data)
             at = stamp + (self.offset if role == LABELS else 0)
             self.push_image(taker, role, at,
@@ -235,11 +239,13 @@ class Intake:
         if role == LEGEND:
             self.names.add(legends.table(msg))
             return
-        if role == INFO:
-            taker.assembler.add_info(msg)
-        elif role == LABELS_INFO:
-            taker.assembler.add_labels_info(msg)
-        elif role == POSE:
+        if role in (INFO, LABELS_INFO):
+            assert isinstance(taker, Station)
+            use = taker.assembler.add_info if role == INFO else taker.assembler.add_labels_info
+            use(msg)
+            return
+        assert isinstance(taker, PoseBuffer)
+        if role == POSE:
             found = messages.pose(msg)
             if not taker.add(*found):
                 self.dropped[f'pose: {repeated(found[0])}'] += 1
@@ -291,7 +297,8 @@ class Intake:
             'camera by /tf_static: --set topics.camera_info=TOPIC names that of the depth images')
         return True
 
-    def _found(self, poses: Any, assembler: Assembler, stamp: Any, frame_id: Any) -> Any:
+    def _found(
+            self, poses: PoseBuffer, assembler: Assembler, stamp: int, frame_id: str) -> Lookup:
         """Return the pose of a frame; where there is none, remember why."""
         found = poses.lookup(stamp, frame_id)
         if found.reason in (NO_MOUNT, UNSAID):
@@ -308,9 +315,9 @@ class Intake:
         return found
 
     def _tied(
-            self, poses: Any, assembler: Assembler, match: Any, found: Any, frame_id: Any,
-            other: Any, lidar: Any
-    ) -> Any:
+            self, poses: PoseBuffer, assembler: Assembler, match: Match, found: Lookup,
+            frame_id: str, other: str, lidar: bool
+    ) -> Lookup:
         """
         Note how the depth of a match is seen by the labels' camera; return the depth's pose.
 
@@ -318,6 +325,7 @@ class Intake:
         has to tie to it: the LiDAR's, or that of labels whose depth is another camera's.
 
         """
+        assert found.T is not None, 'without a pose there is nothing to tie'
         tie = poses.tie(frame_id, other, match.items[DEPTH].stamp if lidar else match.stamp)
         if tie.T is None and lidar:
             self.examples[NO_TIE] = (f'the cloud is in the frame {other!r}, the labels are in '
@@ -339,34 +347,34 @@ class Intake:
         match.T_labels_depth = T
         return then
 
-    def _within(self, T: Any) -> Any:
+    def _within(self, T: NDArray[np.float64]) -> bool:
         """Return whether a pose (4, 4) is where voxels can be numbered."""
         away = np.abs(T[:3, 3] - np.array(self.config.map.origin)).max()
         return bool(away < VOXELS * self.config.memory.voxel_size)
 
     def _frame(self, station: Station, match: Match) -> Frame | None:
         """Return the decoded frame of a match, None where it cannot be used."""
-        decoded = {}
+        decoded: dict[str, Any] = {}
         try:
             for kind, raw in match.items.items():
                 try:
                     decoded[kind] = self._decode(memoryview(raw.data), raw.msgtype)
-                except BadMessage as fault:
-                    self._drop(kind, fault)
+                except BadMessage as error:
+                    self._drop(kind, error)
                     if kind in station.sync.needed:
                         return None
             frame, faults = station.assembler.frame(match, decoded)
-        except BadMessage as fault:
-            self._count(fault)
+        except BadMessage as error:
+            self._count(error)
             return None
         for fault in faults:
             self._count(fault)
         return frame
 
-    def _drop(self, role: Any, fault: Any) -> None:
+    def _drop(self, role: str, fault: BadMessage) -> None:
         """Count a fault of a message whose reason does not yet say which kind it was."""
         self._count(fault if role == INFO else BadMessage(f'{role}: {fault.reason}', str(fault)))
 
-    def _count(self, fault: Any) -> None:
+    def _count(self, fault: BadMessage) -> None:
         self.dropped[fault.reason] += 1
         self.examples.setdefault(fault.reason, str(fault))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from functools import partial
 import time
-from typing import Any, NamedTuple
+from typing import NamedTuple, TYPE_CHECKING
 
 from persem_ros.inputs.decode import messages, px4
 from persem_ros.inputs.decode.messages import BadMessage
-from persem_ros.inputs.intake import Intake, POSE
+from persem_ros.inputs.intake import Intake, POSE, Station
 from persem_ros.inputs.sync.backlog import Backlog
 from persem_ros.inputs.sync.clocks import ANOTHER_CLOCK, Clocks
 from persem_ros.inputs.sync.pairing import DEPTH, KEEP, LABELS, NO_DEPTH, QUEUE_FULL, WENT_BACK
@@ -16,10 +17,22 @@ from persem_ros.inputs.sync.partners import Partners
 from persem_ros.inputs.sync.timeline import BACK, ODD, Timeline
 from persem_ros.inputs.sync.track import Lookup
 
+if TYPE_CHECKING:
+    from collections import Counter
+
+    from persem_ros.inputs.assemble import Assembler
+    from persem_ros.inputs.intake import Decode, Taker
+    from persem_ros.inputs.sync.pairing import Match
+    from persem_ros.inputs.sync.poses import PoseBuffer
+    from persem_ros.settings.config import Config, Sync
+
 STALE = 'from before time went back'
 BEHIND = 'mapping is behind'
 TIES = 2_000_000_000    # ns, twice as long as labels wait for what ties them to the depth
 TIMED = (LABELS, DEPTH, POSE)       # whose stamps tell what time it is
+
+
+Key = tuple[str, int]       # a role, and the id() of whose messages these are
 
 
 class _Jump(NamedTuple):
@@ -27,7 +40,7 @@ class _Jump(NamedTuple):
 
     at: int
     middle: int
-    renewed: set        # topics that have shown new stamps; of others old ones may still come
+    renewed: set[Key]   # topics that have shown new stamps; of others old ones may still come
 
 
 class LiveIntake(Intake):
@@ -58,32 +71,38 @@ class LiveIntake(Intake):
 
     """
 
-    def __init__(self, config: Any, decode: Any, dropped: Any, on_jump: Any,
-                 clock: Any = time.time_ns, steady: Any = time.monotonic_ns) -> None:
+    def __init__(self, config: Config, decode: Decode, dropped: Counter[str],
+                 on_jump: Callable[[], None], clock: Callable[[], int] = time.time_ns,
+                 steady: Callable[[], int] = time.monotonic_ns) -> None:
         """Start without cameras."""
         super().__init__(config, decode, dropped)
         self.jumps = 0
         self._clock, self._steady = clock, steady
         self._backlog = Backlog()
         self.behind = False     # whether a frame was dropped because it had waited for long
-        self._untied = {}       # (frame, frame) -> when they were asked for first
+        # When two frames were asked for first.
+        self._untied: dict[tuple[str, str], int] = {}
         self._began = 0         # when frames began to be taken, by steady()
-        self._partners = {}     # station -> Partners
-        self._clocks = {}       # assembler -> Clocks
+        self._partners: dict[Station, Partners] = {}
+        self._clocks: dict[Assembler, Clocks] = {}
         self._on_jump = on_jump
         self.configure(config)
-        self._heard = {}        # camera -> (largest stamp of a label image, when it came)
-        self._timelines = {}    # (role, taker) -> Timeline
-        self._odd = {}          # the same -> arguments of take(), to be taken or dropped
-        self._jump = None
+        # By id of a station: the largest stamp of a label image, and when it came.
+        self._heard: dict[int, tuple[int, int]] = {}
+        self._timelines: dict[Key, Timeline] = {}
+        # Arguments of take(), to be taken or dropped.
+        self._odd: dict[Key, tuple[str, Taker, str, int, bytes]] = {}
+        self._jump: _Jump | None = None
 
     @property
-    def lateness(self) -> Any:
+    def lateness(self) -> int:
         """Return the ns that depth images take where that is seconds, 0 where it is not."""
         return max((clocks.late for clocks in self._clocks.values()), default=0)
 
     def add_camera(
-            self, name: Any, poses: Any, companions: Any = (), needed: Any = (DEPTH,)) -> Any:
+            self, name: str, poses: PoseBuffer, companions: Sequence[str] = (),
+            needed: Sequence[str] = (DEPTH,)
+    ) -> Station:
         """Add a camera, as in Intake."""
         station = super().add_camera(name, poses, companions, needed)
         self._partners[station] = Partners(KEEP)
@@ -92,7 +111,7 @@ class LiveIntake(Intake):
         station.sync.configure(self.config.sync, self.config.sync.queue_bytes)
         return station
 
-    def take(self, role: Any, taker: Any, kind: Any, now: Any, data: Any) -> None:
+    def take(self, role: str, taker: Taker, kind: str, now: int, data: bytes) -> None:
         """Take one message, as in Intake; notices when time goes back."""
         if role not in TIMED:
             super().take(role, taker, kind, now, data)
@@ -115,6 +134,7 @@ class LiveIntake(Intake):
             self._odd[key] = role, taker, kind, now, data
             return
         if verdict == BACK:
+            assert odd is not None and before is not None       # it is the second in a row
             self._go_back(now, (before + stamp) // 2, key)
             self._take_now(*odd)
         self._take_now(role, taker, kind, now, data)
@@ -123,8 +143,9 @@ class LiveIntake(Intake):
         """Count as backlog only what frames wait from now on."""
         self._began = self._steady()
 
-    def may_leave(self, stamp: Any, number: Any, match: Any, now: Any) -> Any:
+    def may_leave(self, stamp: int, number: int, match: Match, now: int) -> bool:
         """Whether the other cameras have nothing earlier, or were waited for long enough."""
+        assert match.complete is not None       # or it would not be ready
         waited = now - match.complete >= self._hold
         for other, station in enumerate(self.stations):
             if other == number:
@@ -137,9 +158,10 @@ class LiveIntake(Intake):
                 return False
         return True
 
-    def wanted(self, match: Any, number: Any) -> Any:
+    def wanted(self, match: Match, number: int) -> bool:
         """Whether a match is young enough to become a frame."""
         now = self._steady()
+        assert match.ready is not None          # leaving() has just said when
         age = now - max(match.ready, self._began)
         if self._backlog.late(age, now, round(self.config.sync.queue * 1e9)):
             self.dropped[BEHIND] += 1
@@ -159,11 +181,11 @@ class LiveIntake(Intake):
         for station in self.stations:
             station.sync.drop_before(stamp, BEHIND)
 
-    def few_depths(self) -> Any:
+    def few_depths(self) -> tuple[int, int] | None:
         """Return (depth images, label images) of a camera that gets too few depth images."""
         return next((few for few in (p.lost() for p in self._partners.values()) if few), None)
 
-    def configure(self, config: Any) -> None:
+    def configure(self, config: Config) -> None:
         """Go on with other settings sync.* and pose.*."""
         self.config = config
         self._wait = round(config.sync.max_wait * 1e9)
@@ -179,25 +201,29 @@ class LiveIntake(Intake):
         self._heard.clear()
         self._timelines.clear()
         self._odd.clear()
-        for memory in (*self._partners.values(), *self._clocks.values()):
-            memory.clear()
+        for partners in self._partners.values():
+            partners.clear()
+        for clocks in self._clocks.values():
+            clocks.clear()
         for buffer in {id(s.poses): s.poses for s in self.stations}.values():
             buffer.clear()
 
-    def _take_now(self, role: Any, taker: Any, kind: Any, now: Any, data: Any) -> None:
+    def _take_now(self, role: str, taker: Taker, kind: str, now: int, data: bytes) -> None:
         if role == LABELS:
+            assert isinstance(taker, Station)
             stamp = messages.header(data)[0] + self.offset
             latest, _ = self._heard.get(id(taker), (stamp, 0))
             self._heard[id(taker)] = max(stamp, latest), now
             self._partners[taker].labels(stamp)
         elif role == DEPTH:
+            assert isinstance(taker, Station)
             stamp, frame_id = messages.header(data)
             self._partners[taker].depth(stamp, now)
             came = self._clock() - (self._steady() - now)
             self._clocks[taker.assembler].image(stamp, taker.poses.newest(frame_id), came, now)
         super().take(role, taker, kind, now, data)
 
-    def _is_stale(self, key: Any, stamp: Any, now: Any) -> Any:
+    def _is_stale(self, key: Key, stamp: int, now: int) -> bool:
         """Whether a message was sent before time went back, as another topic has shown."""
         jump = self._jump
         if jump is None or key in jump.renewed or now - jump.at > self._wait:
@@ -206,13 +232,13 @@ class LiveIntake(Intake):
             jump.renewed.add(key)
         return stamp > jump.middle
 
-    def _go_back(self, now: Any, middle: Any, key: Any) -> None:
+    def _go_back(self, now: int, middle: int, key: Key) -> None:
         self._jump = _Jump(now, middle, {key})
         self.jumps += 1
         self.clear()
         self._on_jump()
 
-    def _lookup(self, poses: Any, assembler: Any, match: Any) -> Any:
+    def _lookup(self, poses: PoseBuffer, assembler: Assembler, match: Match) -> Lookup:
         """Return the pose of a match, as in Intake; none of another clock."""
         clocks = self._clocks[assembler]
         if clocks.ahead:
@@ -220,12 +246,12 @@ class LiveIntake(Intake):
             return Lookup(None, True, ANOTHER_CLOCK)
         return super()._lookup(poses, assembler, match)
 
-    def untied(self, frame_id: Any, other: Any) -> Any:
+    def untied(self, frame_id: str, other: str) -> bool:
         """Give transforms that tie two frames some time to come, once."""
         since = self._untied.setdefault((frame_id, other), self._steady())
         return self._steady() - since >= min(self._wait, TIES) // 2
 
-    def _explain_drop(self, station: Any, match: Any, reason: Any) -> None:
+    def _explain_drop(self, station: Station, match: Match, reason: str) -> None:
         """Write to `examples` why a label image was dropped, where that takes a look around."""
         partners, sync = self._partners[station], self.config.sync
         if reason == NO_DEPTH:
@@ -238,7 +264,7 @@ class LiveIntake(Intake):
         super().explain()
         self.examples[f'{DEPTH}: {QUEUE_FULL}'] = full_sentence(self.config.sync)
 
-    def _drop_reason(self, role: Any, reason: Any) -> None:
+    def _drop_reason(self, role: str, reason: str) -> None:
         self.dropped[reason if role == LABELS else f'{role}: {reason}'] += 1
 
 
@@ -252,7 +278,7 @@ def _stamp(kind: str, data: bytes) -> int:
     return stamp
 
 
-def full_sentence(sync: Any) -> Any:
+def full_sentence(sync: Sync) -> str:
     """Return what to do where images that wait for their partners fill the queue."""
     return ('depth images wait for their labels and fill the queue; sync.queue_bytes is '
             f'{sync.queue_bytes}: --set sync.queue_bytes={2 * sync.queue_bytes}')

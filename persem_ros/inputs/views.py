@@ -51,9 +51,10 @@ class Views:
 
     def __init__(self, rectified: bool) -> None:
         """Start without an info."""
-        self._infos: deque = deque(maxlen=CHANGES_KEPT)     # (stamp, content, info) at changes
+        # (stamp, content, info) at changes.
+        self._infos: deque[tuple[int, tuple[Any, ...], Any]] = deque(maxlen=CHANGES_KEPT)
         self._rectified = rectified
-        self._views: dict = {}
+        self._views: dict[tuple[tuple[Any, ...], int, int, str], View] = {}
 
     @property
     def frame_id(self) -> str | None:

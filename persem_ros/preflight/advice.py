@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from typing import Any, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,15 +27,15 @@ class Advice:
 
     Parameters
     ----------
-    config : persem_ros.settings.config.Config
-    legend : persem_ros.settings.legend.Legend
+    config : Config
+    legend : Legend
 
     """
 
     def __init__(self, config: Config, legend: Legend) -> None:
         self._config, self._legend = config, legend
-        self._odd = Counter()
-        self._far = None
+        self._odd: Counter[str] = Counter()
+        self._far: NDArray[np.float64] | None = None
         self._fit = VoxelFit(config.memory)
 
     def frame(self, frame: Frame) -> None:
@@ -49,7 +49,7 @@ class Advice:
 
     def sentences(self, seen_ids: NDArray[np.uint8]) -> list[str]:
         """
-        Return what there is to say, a list of sentences.
+        Return what there is to say: sentences.
 
         Parameters
         ----------
@@ -59,18 +59,18 @@ class Advice:
         """
         return [*self._about_ids(), *self._about_flags(seen_ids), *self._about_places()]
 
-    def about_voxels(self, memory: VoxelMemory) -> list[Any]:
+    def about_voxels(self, memory: VoxelMemory) -> list[str]:
         """Return what there is to say of the voxels' size: known as soon as the map is whole."""
         return list(self._fit.sentences(memory))
 
-    def _count(self, labels: Any) -> None:
+    def _count(self, labels: NDArray[np.int32]) -> None:
         odd = (labels < 0) | (labels > MAX_ID)
         if odd.any():
             odd &= ~np.isin(labels, self._config.memory.ignore_labels)
             self._odd['pixels'] += int(np.count_nonzero(odd))
             self._odd['frames'] += bool(odd.any())
 
-    def _about_ids(self) -> Iterator[Any]:
+    def _about_ids(self) -> Iterator[str]:
         if self._odd['pixels']:
             yield (f'{self._odd["pixels"]} pixels in {self._odd["frames"]} frames have ids below '
                    f'0 or above {MAX_ID}; they were ignored')
@@ -88,7 +88,7 @@ class Advice:
                 yield (f'the legend marks {names} as {flag}, the map holds what was seen of it; '
                        f'to leave it out: --set memory.{name}={value}')
 
-    def _about_places(self) -> Iterator[Any]:
+    def _about_places(self) -> Iterator[str]:
         if self._far is not None:
             proposal = ','.join(f'{round(x, -3) + 0.0:.0f}' for x in self._far)
             yield (f'positions are so large that map points (float32) are exact to '

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any, TYPE_CHECKING
 
@@ -13,7 +13,7 @@ from persem_ros.inputs.recording.topics import (
     COMPRESSED, DISPARITY, IMAGE, INFO, POSES, TF, TRIED)
 
 if TYPE_CHECKING:
-    from persem_ros.inputs.recording.source import Source
+    from persem_ros.inputs.recording.source import Head, Source
 
 HEADERS = {IMAGE, COMPRESSED, DISPARITY, INFO, *POSES.values()}
 SHORTEST = 10**8             # ns; latched messages come in a burst, which is no rate
@@ -35,13 +35,13 @@ class Row:
     encoding: str = ''
     size: str = ''
     frame: str = ''
-    first: int = None           # smallest stamp, ns
-    last: int = None            # largest stamp, ns
+    first: int | None = None    # smallest stamp, ns
+    last: int | None = None     # largest stamp, ns
     back: int = 0               # stamps smaller than the one before
     repeated: int = 0
-    recorded: int = None        # earliest time of the recorder, ns
+    recorded: int | None = None     # earliest time of the recorder, ns
     tried: int = field(default=0, repr=False)
-    previous: int = field(default=None, repr=False)
+    previous: int | None = field(default=None, repr=False)
 
     @property
     def stamped(self) -> bool:
@@ -55,7 +55,7 @@ class Row:
         span = (self.last or 0) - (self.first or 0)
         return (self.count - 1) * 1e9 / span if span >= SHORTEST else 0.0
 
-    def see(self, stamp: int) -> None:
+    def see(self, stamp: int | None) -> None:
         """Count a message with *stamp*, None where it has none."""
         self.count += 1
         if stamp is None:
@@ -68,16 +68,18 @@ class Row:
         self.previous = stamp
 
 
-def survey(source: Source, progress: Callable[..., Any] = iter) -> list[Row]:
+def survey(
+        source: Source, progress: Callable[[Iterable[Head]], Iterable[Head]] = iter
+) -> list[Row]:
     """
     Walk over a whole recording without reading its images.
 
     Parameters
     ----------
-    source : persem_ros.inputs.recording.source.Source
+    source : Source
         The open recording.
-    progress : callable
-        Wraps the iterable of messages, for a progress bar.
+    progress
+        Wraps the messages, for a progress bar.
 
     Returns
     -------
@@ -108,7 +110,7 @@ def _try_to_describe(row: Row, source: Source, data: bytes) -> None:
 
 def _describe(row: Row, msg: Any) -> None:
     """Fill in what the first message tells."""
-    row.encoding = getattr(msg, 'encoding', None) or getattr(msg, 'format', '') or \
+    row.encoding = getattr(msg, 'encoding', '') or getattr(msg, 'format', '') or \
         getattr(msg, 'distortion_model', '')
     if row.msgtype == DISPARITY:
         row.encoding, row.size = msg.image.encoding, f'{msg.image.width}x{msg.image.height}'

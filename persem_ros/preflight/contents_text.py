@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import datetime, timezone
 from shlex import join
-from typing import Any, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 from persem_ros.preflight.findings import NOTE, of_severity, WARN
 
@@ -12,13 +13,15 @@ if TYPE_CHECKING:
     from persem_ros.inputs.recording.source import Source
     from persem_ros.inputs.recording.topics import Choice
     from persem_ros.preflight.contents import Row
+    from persem_ros.preflight.findings import Finding
 
 COLUMNS = ('topic', 'type', 'messages', 'Hz', 'encoding', 'size', 'frame', 'first', 'last', '')
 PLAUSIBLE = range(10**17, 10**19)      # ns since 1970 that are dates; others are shown as seconds
 
 
-def text(source: Source, rows: list[Row], choice: Choice, lacking: list[str], found: Any = (),
-         counts: Any = (), words: Any = ()) -> str:
+def text(source: Source, rows: Sequence[Row], choice: Choice, lacking: Sequence[str],
+         found: Sequence[Finding] = (), counts: Sequence[tuple[int, int]] = (),
+         words: Sequence[str] = ()) -> str:
     """
     Return the report.
 
@@ -26,13 +29,13 @@ def text(source: Source, rows: list[Row], choice: Choice, lacking: list[str], fo
     ----------
     source, rows, choice
         The source, its survey and the choice of topics.
-    lacking : list of str
+    lacking
         Why a replay would be refused, sentences with flags.
-    found : list of Finding
+    found
         What the checks found.
-    counts : list of (int, int)
+    counts
         How many label images of each camera a replay would use, and of how many.
-    words : list of str
+    words
         The options of the replay, '--set', 'a=b', ….
 
     Returns
@@ -42,7 +45,7 @@ def text(source: Source, rows: list[Row], choice: Choice, lacking: list[str], fo
 
     """
     # The recorder's clock and that of the headers.
-    starts = (min((row.recorded for row in rows if row.count), default=0),
+    starts = (min((row.recorded for row in rows if row.recorded is not None), default=0),
               min((row.first for row in rows if row.first and row.stamped), default=0))
     stamped = any(row.stamped and row.first for row in rows)
     start = starts[stamped]
@@ -50,7 +53,7 @@ def text(source: Source, rows: list[Row], choice: Choice, lacking: list[str], fo
     total = sum(row.count for row in rows)
     lines = [f'{source.path}: {source.storage}, {_bytes(source.size)}, {total} messages',
              f'from {_date(start)} to {_date(end)} ({(end - start) / 1e9:.1f} s)', '']
-    lines += _table([COLUMNS] + [_cells(row, starts[row.stamped]) for row in rows]) + ['']
+    lines += _table([COLUMNS, *(_cells(row, starts[row.stamped]) for row in rows)]) + ['']
     lines += [f'note: {note}' for note in source.notes]
     for camera, chosen in choice.cameras.items():
         lines.append(f'a replay would use{f" for camera {camera}" if camera else ""}:')
@@ -67,7 +70,7 @@ def text(source: Source, rows: list[Row], choice: Choice, lacking: list[str], fo
     return '\n'.join(lines) + '\n'
 
 
-def _cells(row: Row, start: int) -> tuple[str, ...]:
+def _cells(row: Row, start: int) -> Sequence[str]:
     remarks = [f'{n} {what}' for n, what in ((row.back, 'stamps go back'),
                                              (row.repeated, 'stamps repeat')) if n]
     times = [f'{(stamp - start) / 1e9:+.3f}' if stamp is not None else ''
@@ -77,7 +80,7 @@ def _cells(row: Row, start: int) -> tuple[str, ...]:
             *times, ', '.join(remarks))
 
 
-def _table(rows: list[tuple[str, ...]]) -> list[str]:
+def _table(rows: Sequence[Sequence[str]]) -> list[str]:
     """Return the rows as aligned lines; numbers to the right."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     right = {COLUMNS.index(name) for name in ('messages', 'Hz', 'first', 'last')}
@@ -90,11 +93,14 @@ def _short(kind: str) -> str:
     return kind.rpartition('/')[2]
 
 
-def _bytes(size: int) -> str:
-    for unit in ('bytes', 'kB', 'MB', 'GB'):
-        if size < 1000 or unit == 'GB':
-            return f'{size:.0f} {unit}' if unit == 'bytes' else f'{size:.1f} {unit}'
+def _bytes(size: float) -> str:
+    if size < 1000:
+        return f'{size:.0f} bytes'
+    for unit in ('kB', 'MB'):
         size /= 1000
+        if size < 1000:
+            return f'{size:.1f} {unit}'
+    return f'{size / 1000:.1f} GB'
 
 
 def _date(stamp: int) -> str:

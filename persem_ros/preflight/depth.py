@@ -45,10 +45,13 @@ def check_fit(sample: Sample) -> Iterator[Finding]:
         if 'depth' not in view.topics or is_cloud_of(view):
             continue
         stamps = _spread(np.unique(view.stamps['depth']))
-        found = {stamp: view.poses.lookup(stamp, view.image_frame).T for stamp in stamps}
-        placed = [stamp for stamp in stamps if found[stamp] is not None]
+        placed = {}
+        for stamp in stamps:
+            T = view.poses.lookup(stamp, view.image_frame).T
+            if T is not None:
+                placed[stamp] = T
         shots = view.shots(placed, sample.config)
-        seen = [Seen(*shots[stamp], found[stamp]) for stamp in placed if stamp in shots]
+        seen = [Seen(*shots[stamp], T) for stamp, T in placed.items() if stamp in shots]
         yield from _nothing(view, shots, stamps, sample)
         yield from _no_measurements(shots, _unit(view, sample.config.depth.scale), sample)
         axes = list(axes_fit.check(view, sample, seen))

@@ -21,6 +21,8 @@ CLEAR = 0.5         # of the error, that another kind of depth must leave at mos
 AGREE = 0.003       # relative depth error of frames that need no other reading
 VISIBLE = 0.003     # relative depth error below which kinds are not told apart
 EVERY = 4           # pixels between those whose numbers are looked at
+Depths = Mapping[int, NDArray[np.float64]]      # metres, by number of the frame
+Move = tuple[tuple[int, int], NDArray[np.float64]]      # i, j and what maps points of i to j
 
 
 class Seen(NamedTuple):
@@ -70,7 +72,7 @@ def about_depth(frames: Sequence[Seen], config: Config, unit: float = 1.0) -> It
         yield from _kind(frames, depths, moves, config.depth.kind)
 
 
-def _by_numbers(depths: dict[int, NDArray], settings: Memory, unit: float) -> str:
+def _by_numbers(depths: Depths, settings: Memory, unit: float) -> str:
     """Return the sentence about numbers that hardly are metres, '' where they may be."""
     values = np.concatenate([depth[::EVERY, ::EVERY].ravel() for depth in depths.values()])
     values = values[values > 0.0]
@@ -88,7 +90,7 @@ def _by_numbers(depths: dict[int, NDArray], settings: Memory, unit: float) -> st
     return ''
 
 
-def _by_motion(frames: Sequence[Seen], depths: dict[int, NDArray], unit: float) -> str:
+def _by_motion(frames: Sequence[Seen], depths: Depths, unit: float) -> str:
     """Return the sentence about a unit with which frames agree clearly better, else ''."""
     pairs = _pairs(frames, depths)
     poses = {i: frame.T_map_camera for i, frame in enumerate(frames)}
@@ -100,8 +102,8 @@ def _by_motion(frames: Sequence[Seen], depths: dict[int, NDArray], unit: float) 
             f'but within {100 * then:.1f} % with --set depth.scale={unit * factor:g}')
 
 
-def _kind(frames: Sequence[Seen], depths: dict[int, NDArray],
-          moves: Sequence[tuple[tuple[int, int], NDArray]], kind: str) -> Iterator[str]:
+def _kind(frames: Sequence[Seen], depths: Depths,
+          moves: Sequence[Move], kind: str) -> Iterator[str]:
     """Yield the sentence about the other kind of depth, where frames agree clearly better."""
     lengths = np.sqrt(1.0 + (frames[0].camera.rays ** 2).sum(-1))
     other, scale = ('z', lengths) if kind == 'ray' else ('ray', 1.0 / lengths)
@@ -114,7 +116,7 @@ def _kind(frames: Sequence[Seen], depths: dict[int, NDArray],
                f'{100 * a:.1f} %, but by {100 * b:.1f} % with --set depth.kind={other}')
 
 
-def _pairs(frames: Sequence[Seen], depths: dict[int, NDArray]) -> list[tuple[int, int]]:
+def _pairs(frames: Sequence[Seen], depths: Depths) -> list[tuple[int, int]]:
     """Return pairs of frames that moved by about BASELINES of what they see, spread over all."""
     positions = np.array([frame.T_map_camera[:3, 3] for frame in frames])
     found = []
@@ -129,14 +131,14 @@ def _pairs(frames: Sequence[Seen], depths: dict[int, NDArray]) -> list[tuple[int
 
 
 def moves_of(frames: Sequence[Seen],
-             depths: dict[int, NDArray]) -> list[tuple[tuple[int, int], NDArray]]:
+             depths: Depths) -> list[Move]:
     """Return the pairs of _pairs(), each with the 4x4 that maps points of i to j."""
     return [((i, j), inverse(frames[j].T_map_camera) @ frames[i].T_map_camera)
             for i, j in _pairs(frames, depths)]
 
 
-def error_of(depths: Mapping[int, NDArray], moves: Sequence[tuple[tuple[int, int], NDArray]],
-             K: NDArray) -> float:
+def error_of(depths: Depths, moves: Sequence[Move],
+             K: NDArray[np.float64]) -> float:
     """Return the mean of what misses() gives, cut at WORST; infinity with nothing to compare."""
     errors = [misses(depths[i], depths[j], T, K) for (i, j), T in moves]
     found = np.concatenate([np.zeros(0), *errors])
@@ -144,6 +146,6 @@ def error_of(depths: Mapping[int, NDArray], moves: Sequence[tuple[tuple[int, int
     return float(np.minimum(found, WORST).mean()) if found.size else math.inf
 
 
-def measured(depth: NDArray) -> NDArray[np.float64]:
+def measured(depth: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return a depth image in which 0 alone is no measurement."""
     return np.where(np.isfinite(depth) & (depth > 0.0), depth, 0.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from persem_ros.core.frame.images import counted, on_depth
 from persem_ros.preflight.depth_fit import likely_unit
 
 if TYPE_CHECKING:
+    from persem_ros.frames import Frame
     from persem_ros.settings.config import Memory
 
 SHOWN = 8       # ids in a sentence
@@ -32,10 +33,10 @@ class Emptiness:
         self._settings, self._trusting = settings, trusting
         self._low, self._high = math.inf, -math.inf     # of the depths that are measurements
         self._near = self._in_range = self._labelled = self._both = False
-        self._ids = set()
+        self._ids: set[int] = set()
 
-    def frame(self, frame: Any) -> None:
-        """Look at a persem_ros.frames.Frame that gave no observation."""
+    def frame(self, frame: Frame) -> None:
+        """Look at one that gave no observation."""
         settings, labels = self._settings, on_depth(frame, frame.labels)
         inside = self.depth(frame.depth)
         known = counted(labels, settings) >= 0
@@ -68,7 +69,7 @@ class Emptiness:
                     f"{self._high:.4g} m: is the depth's unit right{self._other_range()}?")
         return ''
 
-    def sentence(self) -> Any:
+    def sentence(self) -> str:
         """Return why nothing was observed."""
         settings, of_depth = self._settings, self.of_depth()
         if of_depth:
@@ -91,7 +92,7 @@ class Emptiness:
                 'a label that counts, or positions and depths are of no place (a million voxels '
                 'away)')
 
-    def _other_range(self) -> Any:
+    def _other_range(self) -> str:
         """Return the options with which the depths would be in range."""
         unit = likely_unit(self._low, self._high, self._settings)
         if unit:
@@ -107,13 +108,13 @@ def _stride(settings: Memory) -> str:
     return str(settings.stride or '0, auto')
 
 
-def _up(metres: Any) -> Any:
+def _up(metres: float) -> str:
     """Return the next larger number of two digits, as text."""
     step = 10.0 ** (math.floor(math.log10(metres)) - 1)
     return f'{math.ceil(metres / step) * step:.6g}'
 
 
-def _down(metres: Any) -> Any:
+def _down(metres: float) -> str:
     """Return the next smaller number of two digits, as text."""
     step = 10.0 ** (math.floor(math.log10(metres)) - 1)
     return f'{math.floor(metres / step) * step:.6g}'

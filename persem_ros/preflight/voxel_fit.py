@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 import math
-from typing import Any, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 import numpy as np
 from persem_ros.core.frame.stride import stride_of
@@ -28,16 +28,17 @@ class VoxelFit:
 
     Parameters
     ----------
-    settings : persem_ros.settings.config.Memory
+    settings : Memory
 
     """
 
     def __init__(self, settings: Memory) -> None:
         self._settings = settings
-        self._depths, self._footprints = [], []     # by frame, metres
+        self._depths: list[float] = []          # by frame, metres
+        self._footprints: list[float] = []
 
     def frame(self, frame: Frame) -> None:
-        """Look at a frame that was integrated, a persem_ros.frames.Frame."""
+        """Look at a frame that was integrated."""
         if frame.points is not None:
             return      # of a cloud, whose points are no pixels of any size
         settings, depth = self._settings, frame.depth[::EVERY, ::EVERY]
@@ -49,8 +50,8 @@ class VoxelFit:
             self._footprints.append(
                 stride_of(frame, settings) * middle / float(frame.camera.K[0, 0]))
 
-    def sentences(self, memory: VoxelMemory) -> Iterator[Any]:
-        """Yield what there is to say of the voxels of a core.memory.voxel_memory.VoxelMemory."""
+    def sentences(self, memory: VoxelMemory) -> Iterator[str]:
+        """Yield what there is to say of the voxels of a map."""
         if not self._depths or not memory.n_voxels:
             return
         depth, footprint = np.median(self._depths), float(np.median(self._footprints))
@@ -68,7 +69,7 @@ class VoxelFit:
                    'that does not help, are the poses right?')
 
 
-def _rounded(metres: Any) -> Any:
+def _rounded(metres: float) -> str:
     """Return a length rounded to one digit, at least the smallest voxel, as text."""
     step = 10.0 ** math.floor(math.log10(metres))
     return f'{max(round(metres / step) * step, 1e-3):.6g}'

@@ -65,7 +65,7 @@ def test_the_info_in_force_at_the_stamp_is_used():
     for i, factor in ((0, 1.0), (2, 2.0), (5, 3.0)):
         assembler.add_info(MAKE.camera_info(bags.stamp(i), 'camera', 16, 12,
                                             bags.K * [[factor], [factor], [1]]))
-    found, _ = assembler.frame(Match(AT, {}), messages)
+    found, _ = assembler.frame(Match(AT, {}, bags.pose(3)), messages)
     assert found.camera.K[0, 0] == 40.0
 
 
@@ -74,7 +74,7 @@ def test_depth_along_the_ray_becomes_z_and_other_units_metres():
     settings = {'depth.kind': 'ray', 'depth.scale': 0.5}
     assembler = Assembler(updated(Config(), settings))
     assembler.add_info(info)
-    found, _ = assembler.frame(Match(AT, {}), messages)
+    found, _ = assembler.frame(Match(AT, {}, bags.pose(3)), messages)
     points = np.dstack([found.camera.rays, np.ones((12, 16))]) * found.depth[..., None]
     np.testing.assert_allclose(np.linalg.norm(points, axis=2),
                                bags.depth(3).astype(float) / 2, rtol=1e-12)

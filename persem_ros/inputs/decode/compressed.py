@@ -27,7 +27,8 @@ SIZE = 8            # RVL: uint32 columns, uint32 rows
 
 
 def labels(
-        form: str, data: NDArray[np.uint8], lossy: Any = False) -> tuple[NDArray[np.uint16], str]:
+        form: str, data: NDArray[np.uint8], lossy: bool = False
+) -> tuple[NDArray[np.uint8 | np.uint16], str]:
     """
     Decode PNG labels.
 
@@ -61,7 +62,7 @@ def labels(
     return image, encoding.strip() if how else ''
 
 
-def depth(form: str, data: NDArray[np.uint8]) -> NDArray[np.uint16]:
+def depth(form: str, data: NDArray[np.uint8]) -> NDArray[np.uint16 | np.float32]:
     """
     Decode a compressedDepth image.
 
@@ -95,7 +96,8 @@ def depth(form: str, data: NDArray[np.uint8]) -> NDArray[np.uint16]:
 
 def color(form: str, data: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Decode a JPEG or PNG image as uint8 RGB of shape (H, W, 3)."""
-    return cv2.cvtColor(_imdecode(data, cv2.IMREAD_COLOR, form), cv2.COLOR_BGR2RGB)
+    image = _imdecode(data, cv2.IMREAD_COLOR, form)
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
 
 
 def _deep(form: str, data: NDArray[np.uint8]) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
@@ -115,8 +117,8 @@ def _deep(form: str, data: NDArray[np.uint8]) -> tuple[NDArray[np.uint16], NDArr
 
 def _imdecode(data: NDArray[np.uint8], flags: int, form: str) -> NDArray[Any]:
     """Decode with OpenCV, which answers None or throws at damaged data."""
-    check_pixels(*pixels_of(memoryview(data)))
-    check_parts(memoryview(data))
+    check_pixels(*pixels_of(data.data))
+    check_parts(data.data)
     try:
         image = cv2.imdecode(data, flags) if data.size else None
     except cv2.error:
@@ -128,14 +130,14 @@ def _imdecode(data: NDArray[np.uint8], flags: int, form: str) -> NDArray[Any]:
     return image
 
 
-def check_pixels(width: Any, height: Any) -> None:
+def check_pixels(width: int, height: int) -> None:
     """Refuse an image that is larger than inputs.max_pixels allows, before it is decoded."""
     sentence = too_many_pixels(int(width), int(height))
     if sentence:
         raise ValueError('too many pixels', sentence)
 
 
-def _rvl_image(body: Any) -> Any:
+def _rvl_image(body: NDArray[np.uint8]) -> NDArray[np.uint16]:
     """Decode the part of an RVL message that follows the header."""
     columns, rows = (int(x) for x in body[:SIZE].copy().view('<u4')) if body.size >= SIZE \
         else (0, 0)
@@ -151,7 +153,7 @@ def _rvl_image(body: Any) -> Any:
 
 
 @cached
-def _number(data, at, end):
+def _number(data: NDArray[np.uint8], at: int, end: int) -> tuple[int, int]:
     """
     Read one variable-length number.
 
@@ -174,7 +176,7 @@ def _number(data, at, end):
 
 
 @cached
-def rvl_decode(data, end, out):
+def rvl_decode(data: NDArray[np.uint8], end: int, out: NDArray[np.uint16]) -> bool:
     """
     Decode RVL (Wilson 2017: runs of zeros, runs of zigzag differences) into *out*.
 

@@ -63,9 +63,11 @@ def table(msg: Any) -> Table:
         raise _unreadable(str(error)) from None
 
 
-def _of_json(content: dict) -> Table:
+def _of_json(content: dict[str, Any]) -> Table:
     """Read Isaac Sim's object."""
-    moment, names, colors = content.pop('time_stamp', None), {}, {}
+    moment = content.pop('time_stamp', None)
+    names: dict[int, str] = {}
+    colors: dict[int, tuple[int, int, int]] = {}
     for key, value in content.items():
         name = value.get('class') if isinstance(value, dict) else value
         if isinstance(value, dict) and not isinstance(name, str):
@@ -77,7 +79,8 @@ def _of_json(content: dict) -> Table:
         at = len(names) if color else int(number)
         names[at] = name
         if color:
-            colors[at] = tuple(min(int(part), 255) for part in color.groups())
+            red, green, blue = (min(int(part), 255) for part in color.groups())
+            colors[at] = red, green, blue
     stamp = None
     if isinstance(moment, dict):
         parts = [moment.get('sec', 0), moment.get('nanosec', 0)]
@@ -86,13 +89,14 @@ def _of_json(content: dict) -> Table:
     return Table(_legend(names, colors), stamp)
 
 
-def _legend(names: dict[int, str], colors: dict[int, tuple[int, ...]]) -> Legend:
+def _legend(names: dict[int, str], colors: dict[int, tuple[int, int, int]]) -> Legend:
     """Return the legend of {id: name}; ids above 65534 mean "no label" and are left out."""
     rows = {i: name.strip() for i, name in names.items() if 0 <= i <= MAX_ID and name.strip()}
     if not rows:
         raise _unreadable('it names no class')
-    made_up = dict(zip(rows, made_up_colors(list(rows)).tolist()))
-    return Legend('', tuple(LegendClass(i, name, tuple(colors.get(i, made_up[i])), name,
+    made_up = {i: (red, green, blue) for i, (red, green, blue) in zip(
+        rows, made_up_colors(list(rows)).tolist())}
+    return Legend('', tuple(LegendClass(i, name, colors.get(i, made_up[i]), name,
                                         name.lower() in NO_LABEL)
                             for i, name in sorted(rows.items())))
 

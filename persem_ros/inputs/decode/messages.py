@@ -8,10 +8,10 @@ np.frombuffer, which takes both.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
 import math
-from typing import Any
+from typing import Any, Literal, TypeVar
 
 import cv2
 import numpy as np
@@ -33,6 +33,7 @@ COLOR = {'rgb8': (3, None), 'bgr8': (3, cv2.COLOR_BGR2RGB), '8UC3': (3, cv2.COLO
          'rgba8': (4, cv2.COLOR_RGBA2RGB), 'bgra8': (4, cv2.COLOR_BGRA2RGB),
          '8UC4': (4, cv2.COLOR_BGRA2RGB), 'mono8': (1, cv2.COLOR_GRAY2RGB),
          '8UC1': (1, cv2.COLOR_GRAY2RGB)}
+Found = TypeVar('Found')
 NORM_TOLERANCE = 1e-2       # a quaternion farther from length 1 is no rotation
 
 
@@ -70,14 +71,14 @@ def header(data: bytes) -> tuple[int, str]:
     Reading the header alone costs microseconds, where decoding a whole image costs a copy.
 
     """
-    order = 'little' if data[1:2] == b'\x01' else 'big'
+    order: Literal['little', 'big'] = 'little' if data[1:2] == b'\x01' else 'big'
     seconds = int.from_bytes(data[4:8], order, signed=True)
     nanoseconds = int.from_bytes(data[8:12], order)
     length = int.from_bytes(data[12:16], order)
-    name = bytes(data[16:16 + length])
-    if len(data) < 16 or len(name) < length:
+    text = bytes(data[16:16 + length])
+    if len(data) < 16 or len(text) < length:
         raise BadMessage('damaged message', 'a message ends inside of its header')
-    name = name.rstrip(b'\0').decode(errors='replace').lstrip('/')
+    name = text.rstrip(b'\0').decode(errors='replace').lstrip('/')
     return seconds * 1_000_000_000 + nanoseconds, name
 
 
@@ -110,7 +111,7 @@ def labels(msg: Any) -> tuple[NDArray[np.int32], str]:
     return planes.astype(np.int32), encoding
 
 
-def label_planes(msg: Any, lossy: bool = False) -> tuple[NDArray, str]:
+def label_planes(msg: Any, lossy: bool = False) -> tuple[NDArray[Any], str]:
     """
     Read a label image of ids or of colours.
 
@@ -241,7 +242,7 @@ def is_disparity(msg: Any) -> bool:
     return hasattr(msg, 'min_disparity')
 
 
-def unit_of(dtype: np.dtype, scale: float = 0.0) -> float:
+def unit_of(dtype: np.dtype[Any], scale: float = 0.0) -> float:
     """Return the metres per unit of depth pixels of a *dtype*; *scale* as in depth()."""
     return scale or (MILLIMETRE if dtype.kind == 'u' else 1.0)
 
@@ -254,7 +255,8 @@ def color(msg: Any) -> NDArray[np.uint8]:
         raise _unknown(msg.encoding, COLOR, 'a colour image')
     channels, conversion = COLOR[msg.encoding]
     pixels = _rows(msg, msg.width * channels).reshape(msg.height, msg.width, channels)
-    return pixels.copy() if conversion is None else cv2.cvtColor(pixels, conversion)
+    return pixels.copy() if conversion is None else \
+        np.asarray(cv2.cvtColor(pixels, conversion), np.uint8)
 
 
 def pose(msg: Any) -> tuple[int, NDArray[np.float64], str, str]:
@@ -299,15 +301,16 @@ def pose(msg: Any) -> tuple[int, NDArray[np.float64], str, str]:
     return stamp_ns(msg), transform(xyz, q), frame_id(msg), child
 
 
-def transforms(msg: Any) -> tuple[list[tuple[int, NDArray[np.float64], str, str]], list[Any]]:
+def transforms(
+        msg: Any) -> tuple[list[tuple[int, NDArray[np.float64], str, str]], list[BadMessage]]:
     """
     Read a tf2_msgs/TFMessage.
 
     Returns
     -------
-    list of tuple
+    list
         What `pose` gives for each transform that can be used.
-    list of BadMessage
+    list
         What was wrong with the others.
 
     """
@@ -320,13 +323,14 @@ def transforms(msg: Any) -> tuple[list[tuple[int, NDArray[np.float64], str, str]
     return good, faults
 
 
-def unit_quaternion(q: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+def unit_quaternion(q: Sequence[float]) -> tuple[float, float, float, float]:
     """Return *q* (x, y, z, w) with norm 1; refuse one that is farther than 1e-2 from it."""
     norm = math.sqrt(sum(x * x for x in q))
     if not abs(norm - 1.0) <= NORM_TOLERANCE:      # also NaN
         raise BadMessage('quaternion not of length 1',
                          f'a pose has the quaternion {tuple(q)} of length {norm:.4g}, expected 1')
-    return tuple(x / norm for x in q)
+    x, y, z, w = q
+    return x / norm, y / norm, z / norm, w / norm
 
 
 def _depth_plane(msg: Any) -> NDArray[Any]:
@@ -364,14 +368,13 @@ def _rows(msg: Any, row_bytes: int) -> NDArray[np.uint8]:
     return data[:height * step].reshape(height, step)[:, :row_bytes]
 
 
-def _unknown(encoding: str, known: dict[str, str], what: str) -> BadMessage:
+def _unknown(encoding: str, known: Collection[str], what: str) -> BadMessage:
     known = known if known is not LABELS else [*LABELS, *PLANES]
     return BadMessage(f'encoding {encoding!r}', f'{what} has the encoding {encoding!r}, '
                       f'expected one of {", ".join(known)}')
 
 
-def _decoded(
-        decoder: Callable[..., Any], msg: Any) -> NDArray[Any] | tuple[NDArray[np.uint16], str]:
+def _decoded(decoder: Callable[[str, NDArray[np.uint8]], Found], msg: Any) -> Found:
     """Run a decoder of compressed.py, which knows nothing of messages."""
     try:
         return decoder(msg.format, np.frombuffer(msg.data, np.uint8))

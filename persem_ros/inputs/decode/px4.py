@@ -41,7 +41,7 @@ def stamp_of(head: bytes) -> int | None:
     return stamp if stamp < LATEST else None
 
 
-def decoded(data: bytes) -> VehicleOdometry:
+def decoded(data: bytes | memoryview) -> VehicleOdometry:
     """
     Return what a serialized message holds; all versions begin alike.
 

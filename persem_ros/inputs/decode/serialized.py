@@ -24,7 +24,7 @@ class Decoder:
         """Load the types, the first time."""
         self._store = _types()
 
-    def __call__(self, data: bytes, typename: str) -> Any:
+    def __call__(self, data: bytes | memoryview, typename: str) -> Any:
         """Return the message; BadMessage where its bytes are damaged."""
         try:
             if typename == px4.TYPE:

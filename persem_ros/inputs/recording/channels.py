@@ -25,6 +25,6 @@ class Channel(NamedTuple):
     number: int
     topic: str
     msgtype: str
-    count: int
+    count: int      # type: ignore[assignment]  # hides tuple.count, which nobody asks for
     encoding: str
     schema: str = ''

@@ -155,7 +155,7 @@ def _listed(folder: Path, there: list[Path]) -> Found:
 
 def _below(folder: Path) -> Found:
     """Return the one recording inside of a folder that is none itself."""
-    inside = {}
+    inside: dict[Path, None] = {}
     with suppress(OSError):
         for file in islice(chain(folder.glob('*/*'), folder.glob('*/*/*'), folder.glob('*/*/*/*')),
                            LOOKED_AT):

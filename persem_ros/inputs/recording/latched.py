@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from itertools import islice
-from typing import Any, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
 from persem_ros.inputs.decode import legends as legend_tables, messages
 from persem_ros.inputs.decode.messages import BadMessage
 
 if TYPE_CHECKING:
-    from persem_ros.inputs.recording.source import Source
+    from persem_ros.inputs.decode.legends import Table
+    from persem_ros.inputs.recording.source import Source, TopicInfo
     from persem_ros.inputs.recording.topics import Choice
+
+Static = tuple[NDArray[np.float64], str, str]       # T_parent_child, parent, child
 
 
 @dataclass
@@ -21,24 +27,24 @@ class Latched:
 
     Attributes
     ----------
-    statics : list of (ndarray (4, 4), str, str)
-        T_parent_child, parent, child.
-    tables : list of persem_ros.inputs.decode.legends.Table
+    statics : list
+        T_parent_child (4, 4), parent, child.
+    tables : list
         Names of classes in the order of the recording; those of a topic that changes.
-    faults : list of str
+    faults : list
         Sentences about what could not be used.
-    sources : list of str
+    sources : list
         The topic of each static transform.
 
     """
 
-    statics: list = field(default_factory=list)
-    tables: list = field(default_factory=list)
-    faults: list = field(default_factory=list)
-    sources: list = field(default_factory=list)
+    statics: list[Static] = field(default_factory=list)
+    tables: list[Table] = field(default_factory=list)
+    faults: list[str] = field(default_factory=list)
+    sources: list[str] = field(default_factory=list)
 
-    def of(self, topics: Any) -> Any:
-        """Return the static transforms of some topics (TopicInfo), as in *statics*."""
+    def of(self, topics: Iterable[TopicInfo]) -> list[Static]:
+        """Return the static transforms of some topics, as in *statics*."""
         names = {topic.name for topic in topics}
         return [found for found, name in zip(self.statics, self.sources, strict=True)
                 if name in names]
@@ -50,9 +56,9 @@ def read(source: Source, choice: Choice) -> Latched:
 
     Parameters
     ----------
-    source : persem_ros.inputs.recording.source.Source
+    source : Source
         The open recording.
-    choice : persem_ros.inputs.recording.topics.Choice
+    choice : Choice
         Its topics.
 
     Returns
@@ -64,8 +70,9 @@ def read(source: Source, choice: Choice) -> Latched:
     found = Latched()
     topics = choice.tf_static + choice.legends
     legends = {topic.name for topic in choice.legends}
-    bad = {}        # topic -> why its first message that was not used was not
-    last = {}       # topic -> the message before: some publish the same with every image
+    bad: dict[str, str] = {}        # topic -> why its first message that was not used was not
+    # Topic -> the message before: some publish the same with every image.
+    last: dict[str, bytes] = {}
     # Counted, so that the search ends with the last of them and not with the recording.
     wanted = islice(source.messages({topic.name for topic in topics}),
                     sum(topic.count for topic in topics))

@@ -6,7 +6,7 @@ import lz4.frame
 from persem_ros.errors import PersemError
 from persem_ros.guard.limits import max_bytes, too_many_bytes
 # With the library for Zstandard that rosbags itself reads with: it has two names, by Python.
-from rosbags.rosbag2.storage_mcap import DECOMPRESSORS, zstd
+from rosbags.rosbag2.storage_mcap import DECOMPRESSORS, zstd    # type: ignore[attr-defined]
 
 ZSTD = b'\x28\xb5\x2f\xfd'
 KINDS = frozenset(DECOMPRESSORS)    # '' among them: stored as it is

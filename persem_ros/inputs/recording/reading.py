@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 import sys
-from typing import Any, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 import numpy as np
 from persem_ros.errors import PersemError
@@ -20,10 +20,11 @@ from persem_ros.inputs.sync.poses import PoseBuffer
 
 if TYPE_CHECKING:
     from persem_ros.frames import Frame
-    from persem_ros.inputs.intake import Raw, Station
+    from persem_ros.inputs.intake import Raw, Station, Taker
     from persem_ros.inputs.recording.recording import Recording
     from persem_ros.inputs.recording.source import TopicInfo
     from persem_ros.inputs.sync.pairing import Match
+    from persem_ros.settings.config import Config
 
 AHEAD = 30.0            # s that poses are read before the images: what one needs is there
 POSES_KEPT = 300.0      # s
@@ -52,7 +53,7 @@ class Reading(Intake):
     """
 
     def __init__(self, recording: Recording, truth: bool = False, color: bool = False,
-                 first: Any = None, last: Any = None, every: Any = 1) -> None:
+                 first: int | None = None, last: int | None = None, every: int = 1) -> None:
         """Set up the queues."""
         config = recording.config
         self._tolerance = round(config.sync.tolerance * 1e9)
@@ -62,11 +63,11 @@ class Reading(Intake):
         self.examples = recording.examples
         self._recording = recording
         self._bounds, self._every = (first, last), every
-        self._complete = Counter()      # frames by camera
-        self._roles = {}        # topic -> [(kind, station or pose buffer)]
-        self._buffers = {}      # pose topic -> PoseBuffer
-        self._depth = {}        # station -> stamps of depth images, ascending
-        self._misses = []       # ns by which labels without depth are behind the nearest
+        self._complete: Counter[int] = Counter()                # frames by camera
+        self._roles: dict[str, list[tuple[str, Taker]]] = {}    # by topic
+        self._buffers: dict[str, PoseBuffer] = {}               # by pose topic
+        self._depth: dict[Station, list[int]] = {}              # stamps, ascending
+        self._misses: list[int] = []    # ns by which labels without depth are behind the nearest
         self._front = -sys.maxsize      # stamp of what was read last
         companions = [kind for kind, wanted in ((TRUTH, truth), (COLOR, color)) if wanted]
         for name, chosen in recording.topics.items():
@@ -88,7 +89,7 @@ class Reading(Intake):
         """Whether the other cameras have only later images."""
         return len(self.stations) == 1 or stamp < self.oldest_pending(sys.maxsize)
 
-    def wanted(self, match: Any, number: Any) -> Any:
+    def wanted(self, match: Match, number: int) -> bool:
         """Whether it is the turn of a match, of camera *number*, to become a frame."""
         self._complete[number] += 1
         return (self._complete[number] - 1) % self._every == 0
@@ -102,11 +103,11 @@ class Reading(Intake):
         pending = super().oldest_pending(default)
         return pending if len(self.stations) == 1 else min(pending, self._front)
 
-    def no_mount(self, reason: Any, sentence: Any) -> None:
+    def no_mount(self, reason: str, sentence: str) -> None:
         """Refuse poses that never lead to the camera."""
         raise PersemError(f'{self._recording.path}: {sentence}')
 
-    def _messages(self) -> Any:
+    def _messages(self) -> Iterator[tuple[str, str, int, bytes]]:
         """Yield (topic, type, stamp, data) in the order of stamps, poses ahead of the images."""
         kinds = {topic: {role for role, _ in takers} for topic, takers in self._roles.items()}
         ahead = round(AHEAD * 1e9)
@@ -142,7 +143,7 @@ class Reading(Intake):
         for kind in (LABELS, *needed, *companions, *infos):
             self._roles.setdefault(chosen[kind].name, []).append((kind, station))
 
-    def _add_names(self, config: Any) -> None:
+    def _add_names(self, config: Config) -> None:
         """Know what the recording says of its classes: with stamps, or by the order of arrival."""
         given = self._recording.given_legend
         tables = self._recording.tables
@@ -154,7 +155,7 @@ class Reading(Intake):
             for topic in self._recording.choice.legends:
                 self._roles.setdefault(topic.name, []).append((LEGEND, None))
 
-    def _pose_buffer(self, camera: Any, chosen: dict[str, TopicInfo]) -> PoseBuffer:
+    def _pose_buffer(self, camera: str, chosen: dict[str, TopicInfo]) -> PoseBuffer:
         """Return the buffer of a camera's poses; cameras with one pose topic share it."""
         choice = self._recording.choice
         tf = choice.tf_of(camera)
@@ -174,7 +175,7 @@ class Reading(Intake):
                     takers.append((TF, self._buffers[name]))
         return self._buffers[name]
 
-    def _note_miss(self, station: Any, match: Any, reason: Any) -> None:
+    def _note_miss(self, station: Station, match: Match, reason: str) -> None:
         """Keep why a label image was dropped, as long as what tells it is there."""
         if reason in self._missed:
             poses, stamp, frame_id = self._missed.pop(reason)

@@ -7,8 +7,6 @@ from collections.abc import Iterator
 from contextlib import suppress
 from typing import Any, TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
 from persem_ros.errors import PersemError
 from persem_ros.guard import limits
 from persem_ros.inputs import names
@@ -16,7 +14,7 @@ from persem_ros.inputs.assemble import Assembler
 from persem_ros.inputs.decode import messages
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.recording import latched
-from persem_ros.inputs.recording.excerpt import WHOLE
+from persem_ros.inputs.recording.excerpt import Excerpt, WHOLE
 from persem_ros.inputs.recording.index import Index
 from persem_ros.inputs.recording.reading import Reading
 from persem_ros.inputs.recording.source import Source
@@ -31,6 +29,8 @@ if TYPE_CHECKING:
 
     from persem_ros.core.trajectory import Correction
     from persem_ros.frames import Frame
+    from persem_ros.inputs.decode.legends import Table
+    from persem_ros.inputs.recording.latched import Static
     from persem_ros.settings.config import Config
 
 SHOWN = 6       # classes in a note
@@ -58,18 +58,18 @@ class Recording:
         The same.
     name : str
         A short name for people.
-    topics : dict of str to dict of str to TopicInfo
-        What is used, by camera ('' where there is only one) and kind.
+    topics : dict
+        TopicInfo of what is used, by camera ('' where there is only one) and kind.
     dropped : collections.Counter
         Of the last reading: messages that were not used, by reason. Reasons without a colon
         count label images; others start with the kind of message.
-    examples : dict of str to str
+    examples : dict
         One whole sentence for reasons that have one.
-    said : set of str
+    said : set
         Notes that the user has read.
     names : persem_ros.inputs.names.Names
         The classes of the map.
-    corrections : dict of str to persem_ros.core.trajectory.Correction
+    corrections : dict
         What a corrected trajectory says of the poses of a camera (corrected.correct).
     given_legend : persem_ros.settings.legend.Legend or None
         That of labels.legend, or of the map that goes on (then *strict*).
@@ -82,7 +82,8 @@ class Recording:
     """
 
     def __init__(
-            self, path: Path | str, config: Config, source: Any = None, excerpt: Any = WHOLE
+            self, path: Path | str, config: Config, source: Source | None = None,
+            excerpt: Excerpt = WHOLE
     ) -> None:
         """Open the recording, choose topics, read static transforms and camera infos."""
         limits.use(config.inputs.max_pixels)
@@ -90,13 +91,14 @@ class Recording:
         self.path, self.name = self.source.path, self.source.name
         self.excerpt = excerpt
         self.config = config
-        self.dropped = Counter()
-        self.examples = {}
-        self.said = set()
+        self.dropped: Counter[str] = Counter()
+        self.examples: dict[str, str] = {}
+        self.said: set[str] = set()
         self.corrections: dict[str, Correction] = {}
-        self._notes = {}
+        self._notes: dict[str, str] = {}
         self._known: dict[str, bool] = {}
-        self._index = self._bounds = None
+        self._index: Index | None = None
+        self._bounds: tuple[int | None, int | None] | None = None
         try:
             self.choice = Choice(self.source, config)
             self.choice.check()
@@ -114,7 +116,7 @@ class Recording:
         """Return the open recording."""
         return self
 
-    def __exit__(self, *_: Any) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the recording."""
         self.close()
 
@@ -123,13 +125,13 @@ class Recording:
         self.source.close()
 
     @property
-    def notes(self) -> list[Any]:
+    def notes(self) -> list[str]:
         """Return what the user should know and what did not prevent the use: sentences."""
         return self.source.notes + self._latched.faults + list(self._notes.values())
 
     @property
-    def legend(self) -> Any:
-        """Return the Legend of the map: labels.legend, else the recording's, with all names."""
+    def legend(self) -> Legend:
+        """Return that of the map: labels.legend, else the recording's, with all names."""
         return self.names.legend
 
     @property
@@ -138,13 +140,13 @@ class Recording:
         return self.names.legend.to_yaml()
 
     @property
-    def tables(self) -> Any:
+    def tables(self) -> list[Table]:
         """Return the tables of class names in the order of the recording."""
         return self._latched.tables
 
     @property
-    def statics(self) -> list[tuple[NDArray[np.float64], str, str]]:
-        """Return the static transforms: a list of (T_parent_child, parent, child)."""
+    def statics(self) -> list[Static]:
+        """Return the static transforms: (T_parent_child, parent, child)."""
         return self._latched.statics
 
     def go_on(self, legend: Legend) -> None:
@@ -157,13 +159,13 @@ class Recording:
             self.note('ids', f'ids follow their names, as the recording before has them: '
                              f'{", ".join(moved[:SHOWN])}{more}')
 
-    def statics_of(self, camera: Any) -> Any:
+    def statics_of(self, camera: str) -> list[Static]:
         """Return the static transforms of the robot that carries a camera."""
         return self._latched.of(self.choice.tf_static_of(camera))
 
     @property
-    def index(self) -> Any:
-        """Return the Index of everything that a reading may use, made when it is first asked."""
+    def index(self) -> Index:
+        """Return that of everything that a reading may use, made when it is first asked."""
         if self._index is None:
             used = {topic for chosen in self.topics.values() for topic in chosen.values()}
             used |= {*self.choice.tf, *self.choice.legends}
@@ -177,18 +179,18 @@ class Recording:
         return self._index
 
     @property
-    def bounds(self) -> Any:
-        """Return the stamps of the first and last label image of the excerpt, ns; or None."""
+    def bounds(self) -> tuple[int | None, int | None]:
+        """Return the stamps between which label images are used, ns; None: no bound."""
         if self._bounds is None:
             first = None
             if self.excerpt.needs_first:
                 found = next(Reading(self).frames(), None)
-                first = found and found.stamp
+                first = found.stamp if found else None
             self._bounds = self.excerpt.bounds(first)
         return self._bounds
 
     @property
-    def expected(self) -> Any:
+    def expected(self) -> int:
         """Return the number of label images, for progress; frames may be fewer."""
         if self.excerpt == WHOLE:
             return sum(chosen['labels'].count for chosen in self.topics.values())
@@ -279,11 +281,11 @@ class Recording:
         if not used:
             raise PersemError(self.nothing())
 
-    def note(self, key: Any, text: Any) -> None:
+    def note(self, key: str, text: str) -> None:
         """Keep a sentence for the user, one for each *key*."""
         self._notes[key] = text
 
-    def nothing(self) -> Any:
+    def nothing(self) -> str:
         """Return the sentence that says why no frame could be made."""
         if self.excerpt != WHOLE and not self.expected:
             names = {chosen['labels'].name for chosen in self.topics.values()}
@@ -300,7 +302,7 @@ class Recording:
         """Return the first camera info of each topic, refusing those that no image can use."""
         names = {chosen['camera_info'].name for chosen in self.topics.values()
                  if 'camera_info' in chosen}
-        infos = {}
+        infos: dict[str, Any] = {}
         if not names:
             return infos
         for name, kind, _, data in self.source.messages(names):

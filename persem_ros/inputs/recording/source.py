@@ -27,7 +27,7 @@ class TopicInfo(NamedTuple):
 
     name: str
     msgtype: str        # 'sensor_msgs/msg/Image'
-    count: int
+    count: int          # type: ignore[assignment]  # hides tuple.count, which nobody asks for
 
 
 class Head(NamedTuple):
@@ -194,7 +194,7 @@ class Source:
         except Exception:
             return b''
 
-    def decode(self, data: bytes, typename: str) -> Any:
+    def decode(self, data: bytes | memoryview, typename: str) -> Any:
         """Deserialize a message; BadMessage where its bytes are damaged."""
         return self._decode(data, typename)
 

@@ -103,7 +103,9 @@ class SqliteFile:
     def _head(self, place: int) -> bytes:
         """Return the first bytes of a message; all of one that is compressed."""
         try:
-            with self._base.blobopen('messages', 'data', place, readonly=True) as blob:
+            # Asked for on Python 3.11 and later only, see heads().
+            with self._base.blobopen(       # type: ignore[attr-defined]
+                    'messages', 'data', place, readonly=True) as blob:
                 head = bytes(blob.read(HEAD))
         except sqlite3.Error:
             return b''

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from itertools import islice
 import re
@@ -47,18 +47,18 @@ class Choice:
 
     Parameters
     ----------
-    source : persem_ros.inputs.recording.source.Source
+    source : Source
         The open recording.
-    config : persem_ros.settings.config.Config
+    config : Config
         The settings topics.*, cameras.*, pose.source and pose.type.
 
     Attributes
     ----------
-    cameras : dict of str to dict of str to TopicInfo
+    cameras : dict
         Topics by camera and kind; the camera is '' where there is only one.
-    tf, tf_static, legends : list of TopicInfo
+    tf, tf_static, legends : list
         Topics with transforms and legends.
-    problems : list of str
+    problems : list
         What is missing, each with the flags that would help; empty: the choice is complete.
 
     """
@@ -66,7 +66,7 @@ class Choice:
     def __init__(self, source: Source, config: Config) -> None:
         """Match the settings with what is there."""
         self._source = source
-        self._encodings = None
+        self._encodings: dict[str, str] | None = None
         filled = [topic for topic in source.topics if topic.count]
         self._topics = filled + [topic for topic in source.topics if not topic.count]
         self._pose_types = (POSES[config.pose.type],) if config.pose.type in POSES \
@@ -76,19 +76,19 @@ class Choice:
                           if t.msgtype == TF and t.name.rpartition('/')[2] == 'tf_static']
         self.legends = _legends(filled, config.labels.topic)
         self._tf = config.topics.tf and f'/{config.topics.tf.strip("/")}'
-        self.problems = []
+        self.problems: list[str] = []
         self.cameras = {name: self._camera(config, name)
                         for name in [n for n in config.cameras if n] or ['']}
 
-    def tf_of(self, camera: Any) -> Any:
+    def tf_of(self, camera: str) -> list[TopicInfo]:
         """Return the topics with moving transforms of the robot that carries a camera."""
         return self._of_robot(self.tf, camera)
 
-    def tf_static_of(self, camera: Any) -> Any:
+    def tf_static_of(self, camera: str) -> list[TopicInfo]:
         """Return the topics with static transforms of the robot that carries a camera."""
         return self._of_robot(self.tf_static, camera)
 
-    def _of_robot(self, topics: Any, camera: Any) -> Any:
+    def _of_robot(self, topics: list[TopicInfo], camera: str) -> list[TopicInfo]:
         """Return those of *topics* that lie in the namespace of a camera or above, else all."""
         if self._tf:
             tail = topics[0].name.rpartition('/')[2] if topics else ''
@@ -110,7 +110,7 @@ class Choice:
             raise PersemError(f'{path}: {"; ".join(self.problems)}; "persem info '
                               f'{quote(str(path))}" lists all topics')
 
-    def candidates(self, kind: str, taken: tuple[TopicInfo, ...] = ()) -> list[TopicInfo]:
+    def candidates(self, kind: str, taken: Sequence[TopicInfo] = ()) -> list[TopicInfo]:
         """Return the topics that could serve as *kind*, the likely ones first; none of *taken*."""
         fitting = [t for t in self._topics if t.msgtype in self._types(kind) and t not in taken]
         if kind not in ('labels', 'depth', 'truth'):
@@ -131,8 +131,7 @@ class Choice:
             self._encodings = {}
             wanted = {t.name for t in self._topics if t.msgtype in (IMAGE, COMPRESSED) and t.count}
             for name, msg in first_messages(self._source, wanted).items():
-                self._encodings[name] = getattr(msg, 'encoding', None) or \
-                    getattr(msg, 'format', '')
+                self._encodings[name] = getattr(msg, 'encoding', '') or getattr(msg, 'format', '')
         return self._encodings
 
     def _labelled_clouds(self) -> list[tuple[str, str]]:
@@ -149,7 +148,8 @@ class Choice:
     def _camera(self, config: Config, camera: str) -> dict[str, TopicInfo]:
         topics = topics_of(config, camera)
         prefix = f'cameras.{camera}.topics' if camera else 'topics'
-        chosen, missing = {}, {}
+        chosen: dict[str, TopicInfo] = {}
+        missing: dict[str, str] = {}
         roles = roles_of(config, topics)
         for kind, role in roles.items():
             wanted = getattr(topics, role)
@@ -190,7 +190,7 @@ class Choice:
             self._other_camera(topics, chosen)
         return chosen
 
-    def _other_camera(self, topics: Any, chosen: Any) -> None:
+    def _other_camera(self, topics: Topics, chosen: dict[str, TopicInfo]) -> None:
         """Add the labels' own camera info where the labels are in another frame than the depth."""
         names = {chosen[kind].name for kind in ('labels', 'depth')}
         frames = {name: messages.frame_id(msg)
@@ -201,7 +201,7 @@ class Choice:
                 chosen[LABELS_INFO] = self._labels_info(topics.labels_info, topics,
                                                         chosen['labels'])
 
-    def _labels_info(self, wanted: Any, topics: Any, labels: Any) -> Any:
+    def _labels_info(self, wanted: str, topics: Topics, labels: TopicInfo | None) -> TopicInfo:
         """
         Return the topic with the intrinsics of the label images; LookupError where none is.
 
@@ -273,7 +273,7 @@ class Choice:
         raise LookupError()
 
     def _flags(
-            self, kinds: tuple[str], prefix: str, taken: tuple[TopicInfo, ...], extra: str = ''
+            self, kinds: Sequence[str], prefix: str, taken: Sequence[TopicInfo], extra: str = ''
     ) -> str:
         """Return ' (--set ... or --set ...)' with the candidates for *kinds* but those *taken*."""
         flags = [f'--set {prefix}.{kind}={t.name}' for kind in kinds
@@ -287,7 +287,7 @@ class Choice:
         return f' (no {other}topic of that kind is there{beside})'
 
 
-def roles_of(config: Any, topics: Any) -> Any:
+def roles_of(config: Config, topics: Topics) -> dict[str, str]:
     """
     Return what a camera needs or may have: {kind: the setting topics.* that says where}.
 
@@ -304,10 +304,11 @@ def roles_of(config: Any, topics: Any) -> Any:
     return {**roles, LABELS_INFO: LABELS_INFO}
 
 
-def _legends(topics: Any, wanted: Any) -> Any:
+def _legends(topics: list[TopicInfo], wanted: str) -> list[TopicInfo]:
     """Return the topic with class names, [] where there is none: one, for two may contradict."""
     fitting = [t for t in topics if t.msgtype in legends.TYPES]
-    ways = (lambda t: t.name.strip('/') == wanted.strip('/'),
+    ways: tuple[Callable[[TopicInfo], bool], ...] = (
+            lambda t: t.name.strip('/') == wanted.strip('/'),
             lambda t: t.name.endswith('/' + wanted.strip('/')),
             lambda t: t.msgtype == legends.LABEL_INFO,
             lambda t: t.name.endswith('legend'),
@@ -317,7 +318,7 @@ def _legends(topics: Any, wanted: Any) -> Any:
 
 def first_messages(source: Source, names: set[str]) -> dict[str, Any]:
     """Return the first message of each topic in *names* that can be decoded, by name."""
-    found = {}
+    found: dict[str, Any] = {}
     for name in sorted(names):      # one search each: it ends where the topic begins
         for _, kind, _, data in islice(source.messages({name}), TRIED):
             try:

@@ -11,12 +11,16 @@ from __future__ import annotations
 
 from bisect import bisect_left, insort
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TYPE_CHECKING
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from persem_ros.inputs.intake import Raw
+    from persem_ros.inputs.sync.track import Lookup
     from persem_ros.settings.config import Sync
 
 LABELS, DEPTH, TRUTH, COLOR = 'labels', 'depth', 'truth', 'color'
@@ -39,7 +43,7 @@ class Match:
     ----------
     stamp : int
         The label image's, nanoseconds.
-    items : dict of str to object
+    items : dict
         What was pushed, by kind; a companion that is missing has no entry.
     T_map_camera : ndarray, shape (4, 4), float64
         The pose, None where no poses are asked for.
@@ -52,15 +56,15 @@ class Match:
     """
 
     stamp: int
-    items: dict
-    T_map_camera: object = None
+    items: dict[str, Raw]
+    T_map_camera: NDArray[np.float64] | None = None
     arrival: int = 0
-    complete: int = None        # when the depth image was found
+    complete: float | None = None       # when the depth image was found
     size: int = 0
-    missing: set = field(default_factory=set)
-    ready: int = None           # when nothing of it was missing any more
-    T_body_camera: object = None
-    T_labels_depth: object = None
+    missing: set[str] = field(default_factory=set)
+    ready: int | None = None            # when nothing of it was missing any more
+    T_body_camera: NDArray[np.float64] | None = None
+    T_labels_depth: NDArray[np.float64] | None = None
 
 
 @dataclass(order=True)
@@ -68,7 +72,7 @@ class _Waiting:
     """An image that no label image has taken yet."""
 
     stamp: int
-    item: object = field(compare=False)
+    item: Raw = field(compare=False)
     size: int = field(compare=False)
     arrival: int = field(compare=False)
 
@@ -114,12 +118,13 @@ class Synchronizer:
 
     """
 
-    def __init__(self, sync: Sync, lookup: Callable[..., Any] | None = None,
-                 companions: list[str] = (), patient: bool = False, pose_wait: float | None = None,
+    def __init__(self, sync: Sync, lookup: Callable[[Match], Lookup] | None = None,
+                 companions: Sequence[str] = (), patient: bool = False,
+                 pose_wait: float | None = None,
                  keep: float = KEEP, max_bytes: int = 256 << 20,
-                 dropped: Counter[Any] | None = None, needed: Any = (DEPTH,)) -> None:
+                 dropped: Counter[str] | None = None, needed: Sequence[str] = (DEPTH,)) -> None:
         """Start empty."""
-        self.dropped = Counter() if dropped is None else dropped
+        self.dropped: Counter[str] = Counter() if dropped is None else dropped
         self._keep_for, self._wait_for_pose = keep, pose_wait
         self.configure(sync)
         self._lookup = lookup
@@ -127,11 +132,11 @@ class Synchronizer:
         self._partners = (*needed, *companions)
         self._patient = patient
         self._max_bytes = max_bytes
-        self.on_drop = lambda match, reason: None
+        self.on_drop: Callable[[Match, str], None] = lambda match, reason: None
         self.clear()
 
-    def configure(self, sync: Sync, max_bytes: Any = None) -> None:
-        """Go on with other settings (persem_ros.settings.config.Sync) and bound in bytes."""
+    def configure(self, sync: Sync, max_bytes: int | None = None) -> None:
+        """Go on with other settings and bound in bytes."""
         if max_bytes is not None:
             self._max_bytes = max_bytes
         self._tolerance = round(sync.tolerance * 1e9)
@@ -142,14 +147,15 @@ class Synchronizer:
 
     def clear(self) -> None:
         """Forget everything held and every stamp seen (the clock went back)."""
-        self._matches = []                                  # in stamp order
-        self._queues = {kind: [] for kind in self._partners}
-        self._latest = dict.fromkeys(self._partners)        # stamp that arrived last
-        self._left = None                                   # stamp of the last match that left
+        self._matches: list[Match] = []                     # in stamp order
+        self._queues: dict[str, list[_Waiting]] = {kind: [] for kind in self._partners}
+        # Stamp that arrived last.
+        self._latest: dict[str, int | None] = dict.fromkeys(self._partners)
+        self._left: int | None = None                       # stamp of the last match that left
         self.bytes = 0
 
     @property
-    def first_pending(self) -> Any:
+    def first_pending(self) -> int | None:
         """Stamp of the earliest label image held, None where none is."""
         return self._matches[0].stamp if self._matches else None
 
@@ -181,7 +187,7 @@ class Synchronizer:
     def advance(self, now: float) -> list[Match]:
         """Return the matches that can leave at time *now*, in stamp order."""
         self._settle(now)
-        leaving = []
+        leaving: list[Match] = []
         while self._matches and self._head_leaves(now, leaving):
             pass
         self._prune(now)
@@ -234,7 +240,7 @@ class Synchronizer:
         insort(queue, waiting)
         return True
 
-    def _join(self, match: Match, kind: str, waiting: _Waiting, now: int) -> None:
+    def _join(self, match: Match, kind: str, waiting: _Waiting, now: float) -> None:
         match.items[kind] = waiting.item
         match.size += waiting.size
         match.missing.discard(kind)
@@ -258,7 +264,7 @@ class Synchronizer:
                 elif kind not in self.needed and self._patient and (passed or waited):
                     match.missing.discard(kind)
 
-    def _nearest(self, kind: str, stamp: int) -> Any:
+    def _nearest(self, kind: str, stamp: int) -> int | None:
         """Return the index of the nearest image in a queue within the tolerance, else None."""
         queue = self._queues[kind]
         i = bisect_left(queue, stamp, key=_stamp)
@@ -281,6 +287,7 @@ class Synchronizer:
         if self._lookup is not None:
             found = self._lookup(match)
             if found.T is None:
+                assert match.complete is not None       # nothing that it needs is missing
                 if not found.final and now - match.complete < self._pose_wait:
                     return False
                 self._drop_head(found.reason)
@@ -313,7 +320,7 @@ class Synchronizer:
         i = bisect_left(self._matches, stamp - self._tolerance, key=_stamp)
         return i < len(self._matches) and self._matches[i].stamp <= stamp + self._tolerance
 
-    def _drop_partner(self, kind: str, reason: Any = None) -> None:
+    def _drop_partner(self, kind: str, reason: str = '') -> None:
         self.bytes -= self._queues[kind].pop(0).size
         if kind == DEPTH or reason:
             self.dropped[f'{kind}: {reason}' if reason else UNUSED] += 1
@@ -327,14 +334,14 @@ class Synchronizer:
         else:
             self._drop_partner(first[1], QUEUE_FULL)
 
-    def _why_full(self, match: Any) -> Any:
+    def _why_full(self, match: Match) -> str:
         """Return what the earliest label image waits for, if that is why the queue is full."""
         if self.needed & match.missing or self._lookup is None:
             return QUEUE_FULL
         return self._lookup(match).reason or QUEUE_FULL
 
 
-def repeated(stamp: Any) -> Any:
+def repeated(stamp: int) -> str:
     """Return the reason for a stamp that was there before."""
     return REPEATED if stamp else ZERO
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from bisect import bisect_left
 import re
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,14 +139,14 @@ class PoseBuffer:
         if found.T is None:
             return found
         above = self._above(self._poses.parent, stamp)
-        mount = self._mount(frame, stamp)
+        mounted = self._mount(frame, stamp)
         self._astray = self._mounts[self.child, frame] is None \
             or self._poses.parent not in ('', self._map)
         if above.T is None:
             return above
-        if mount.T is None:
-            return mount
-        return self._corrected(Lookup(above.T @ found.T @ mount.T), stamp, mount.T)
+        if mounted.T is None:
+            return mounted
+        return self._corrected(Lookup(above.T @ found.T @ mounted.T), stamp, mounted.T)
 
     def body(self, stamp: int, frame: str) -> Lookup:
         """
@@ -194,12 +193,15 @@ class PoseBuffer:
         for top in (parent, self._map):
             path = path[:path.index(top)] if top in path else path
         fixed = [name for name in path if self.tree.connected(name, frame, moving=False)]
-        if not path or path == fixed and all(
-                np.allclose(self.tree.chain(name, frame, None).T, np.eye(4), atol=1e-6)
-                for name in fixed):
+        if not path or path == fixed and all(self._same_place(name, frame) for name in fixed):
             return []
         named = [name for name in path if BODIES.match(name)]
         return list(dict.fromkeys([*named, *reversed(fixed), *path]))
+
+    def _same_place(self, one: str, other: str) -> bool:
+        """Return whether static transforms give two frames one position and rotation."""
+        T = self.tree.chain(one, other, None).T
+        return T is not None and np.allclose(T, np.eye(4), atol=1e-6)
 
     def span(self, frame: str) -> tuple[int, int] | None:
         """Return the stamps between which poses, or /tf to *frame*, are known, ns."""
@@ -402,7 +404,7 @@ class PoseBuffer:
         return self.tree.chain(child, frame, None).T if child else None
 
 
-def _extrinsic(values: tuple[float, ...]) -> Any:
+def _extrinsic(values: tuple[float, ...]) -> NDArray[np.float64] | None:
     """Return the 4x4 matrix of the setting pose.extrinsic, None where it is all 0."""
     if not any(values):
         return None

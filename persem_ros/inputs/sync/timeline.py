@@ -23,11 +23,11 @@ class Timeline:
 
     """
 
-    def __init__(self, tolerance: Any) -> None:
+    def __init__(self, tolerance: int) -> None:
         """Start without stamps."""
         self._tolerance = tolerance
-        self._recent = deque(maxlen=REMEMBERED)
-        self._odd = None
+        self._recent: deque[int] = deque(maxlen=REMEMBERED)
+        self._odd: int | None = None
 
     @property
     def now(self) -> Any:
@@ -46,7 +46,7 @@ class Timeline:
         self._odd = stamp
         return ODD
 
-    def restart(self, *stamps: Any) -> None:
+    def restart(self, *stamps: int) -> None:
         """Forget what was before *stamps*."""
         self._recent.clear()
         self._recent.extend(stamps)

@@ -40,7 +40,7 @@ class Metrics:
 
     def update(self, valid: NDArray[np.bool_], predictions: dict[str, NDArray[np.int32]],
                truth: NDArray[np.int32] | None = None, regions: NDArray[np.uint8] | None = None,
-               sensor: str = '') -> None:
+               sensor: str | None = '') -> None:
         """
         Count one integrated frame.
 
