@@ -5,6 +5,7 @@
 # make test-matrix   the tests with NumPy 1.26 + OpenCV 4 and with NumPy 2 + OpenCV 5
 # make ros-test      test/ros against the ROS 2 in /opt/ros/jazzy
 # make bench-long   a survey larger than its memory; ARGS="--voxels 5e7"
+# make bench-scale  persem build by recording, tile and observation; ARGS="--flights 8"
 # make bench-live  the node under load, through real DDS
 # make fuzz         files that mean harm, for MINUTES=30; prints its seed (SEED=n repeats it)
 # make signals      Ctrl-C and SIGTERM at MOMENTS=200 of each command; all of them without streams
@@ -21,7 +22,7 @@ RUN := $(VENV)/bin/python
 PEP257 := --ignore=D100,D101,D102,D103,D104,D105,D106,D107,D203,D212,D404 --match='.*\.py'
 
 .DELETE_ON_ERROR:
-.PHONY: test demo bench bench-long lint test-matrix ros-test bench-live fuzz signals clean docs docs-links
+.PHONY: test demo bench bench-long bench-scale lint test-matrix ros-test bench-live fuzz signals clean docs docs-links
 # A sourced ROS would put its own pytest plugins and messages into our environment.
 unexport PYTHONPATH
 
@@ -40,6 +41,9 @@ bench: $(VENV)/installed-bench
 
 bench-long: $(VENV)/installed
 	$(RUN) benchmarks/long.py $(ARGS)
+
+bench-scale: $(VENV)/installed
+	$(RUN) benchmarks/scale.py $(ARGS)
 
 lint: $(VENV)/installed-lint
 	$(RUN) -m flake8

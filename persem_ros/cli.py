@@ -23,8 +23,8 @@ from persem_ros.errors import PersemError           # noqa: E402
 from persem_ros.guard.words import plain, sentence  # noqa: E402
 from persem_ros.settings.config import nearest, settings    # noqa: E402
 
-COMMANDS = ('simulate', 'convert', 'info', 'replay', 'evaluate', 'sweep', 'compare', 'config',
-            'map')
+COMMANDS = ('simulate', 'convert', 'info', 'replay', 'build', 'evaluate', 'sweep', 'compare',
+            'config', 'map')
 
 DONE, REFUSED, USAGE, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, ending.INTERRUPTED, 141
 

@@ -5,6 +5,7 @@ import os
 from pathlib import Path
 import signal
 
+from clusters import scheduler, workers      # noqa: F401
 from hypothesis import HealthCheck, settings
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -47,7 +47,7 @@ def add_evaluation(parser: ArgumentParser) -> None:
     parser.add_argument('--workers', metavar='N', type=int, default=0,
                         help='processes side by side (default: one per core)')
     parser.add_argument('--scheduler', metavar='ADDRESS', default='',
-                        help='let a dask cluster do the work, for example tcp://host:8786')
+                        help='let a dask cluster do the work, for example tls://host:8786')
     add_excerpt(parser)
     parser.add_argument('--force', action='store_true',
                         help='give up results of other settings in DIR')

@@ -1,16 +1,12 @@
 """Work side by side: the same results in one process, in several, and on a cluster."""
 
-import json
 import multiprocessing
-import os
-from pathlib import Path
-import subprocess
 import sys
 import threading
 import time
 
 import numpy as np
-from persem_ros import cli
+from persem_ros import cli, workers as side_by_side
 from persem_ros.errors import PersemError
 from persem_ros.evaluate.work import jobs
 from persem_ros.evaluate.work.task import Task
@@ -75,7 +71,7 @@ def test_a_worker_that_dies_is_said(tasks):
 
 def test_no_scheduler_there(tasks, capsys, monkeypatch):
     pytest.importorskip('distributed')
-    monkeypatch.setattr(jobs, 'PATIENCE', 1)
+    monkeypatch.setattr(side_by_side, 'PATIENCE', 1)
     words = ['evaluate', tasks[0].recording, '--scheduler', 'tcp://127.0.0.1:9']
     assert cli.main(words) == 1
     error = capsys.readouterr().err.splitlines()
@@ -86,57 +82,6 @@ def test_cluster_is_an_extra(tasks, monkeypatch):
     monkeypatch.setitem(sys.modules, 'distributed', None)
     with pytest.raises(PersemError, match=r'persem_ros\[cluster\]'):
         by_place(jobs.results(tasks, scheduler='tcp://127.0.0.1:9'))
-
-
-DASK = ('from distributed.cli import dask_scheduler, dask_worker; import sys; '
-        'getattr(sys.modules[f"distributed.cli.dask_{sys.argv[1]}"], "main")(sys.argv[2:])')
-
-
-def dask(folder, *words):
-    """Start a scheduler or a worker; return its process."""
-    return subprocess.Popen(
-        [sys.executable, '-c', DASK, *words, '--no-dashboard'], stderr=subprocess.DEVNULL,
-        cwd=folder, env={**os.environ, 'PYTHONPATH': str(Path(__file__).resolve().parents[2])})
-
-
-@pytest.fixture(scope='module')
-def scheduler(tmp_path_factory):
-    """Yield (address, file) of a scheduler on loopback, without workers."""
-    pytest.importorskip('distributed')
-    folder = tmp_path_factory.mktemp('scheduler')
-    where = folder / 'scheduler.json'
-    process = dask(folder, 'scheduler', '--host', '127.0.0.1', '--port', '0', '--scheduler-file',
-                   str(where), '--idle-timeout', '300 s')       # should nobody live to kill it
-    try:
-        for _ in range(600):
-            if where.exists() and where.stat().st_size:
-                break
-            time.sleep(0.1)
-        yield json.loads(where.read_text())['address'], where
-    finally:
-        process.kill()
-        process.wait()
-
-
-@pytest.fixture
-def workers(scheduler, tmp_path):
-    """Yield the processes of two workers of the scheduler; afterwards it has none."""
-    from distributed import Client
-    address, where = scheduler
-    processes = [dask(tmp_path, 'worker', '--scheduler-file', str(where), '--nthreads', '1',
-                      '--no-nanny', '--death-timeout', '60',
-                      '--local-directory', str(tmp_path)) for _ in range(2)]
-    try:
-        with Client(address, set_as_default=False) as client:
-            client.wait_for_workers(2, timeout=60)
-        yield processes
-    finally:
-        for process in processes:
-            process.kill()
-            process.wait()
-        with Client(address, set_as_default=False) as client:
-            while client.scheduler_info()['workers']:
-                time.sleep(0.1)
 
 
 def test_cluster_gives_the_same_though_a_worker_dies(scheduler, workers, tasks, expected):

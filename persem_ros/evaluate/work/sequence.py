@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any, TYPE_CHECKING
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros import ahead
@@ -230,12 +229,6 @@ class Sequence:
         if sensor not in smoothers:
             smoothers[sensor] = EmaImages(self.task.config.ema.alpha)
         return smoothers[sensor].update(counted(labels, _everything(self.task.config.memory)))
-
-
-def one_thread() -> None:
-    """Let this process compute on one core: a worker among others."""
-    jit.set_threads(1)
-    cv2.setNumThreads(1)
 
 
 def _everything(settings: Memory) -> Memory:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from persem_ros.evaluate.work.stream import Disturbance
@@ -48,3 +49,8 @@ class Task:
     disturbance: Disturbance = Disturbance()
     pictures: bool = True
     excerpt: Excerpt = WHOLE
+
+    @property
+    def name(self) -> str:
+        """Return a short name for people."""
+        return Path(self.recording).name

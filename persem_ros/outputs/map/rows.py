@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import fields
 import struct
 from typing import Any
@@ -66,17 +66,36 @@ def to_rows(saved: MemoryDump, texts: dict[str, str]) -> dict[str, Any]:
         settings, map_frame and legend, for the table about.
 
     """
-    about = {**texts, 'origin': struct.pack('<3d', *saved.origin),
-             'voxel_size': saved.voxel_size, 'max_history': saved.max_history,
-             'session': saved.session, 'refined': int(saved.rho is not None),
-             'blocks': len(saved.block_index), 'voxels': len(saved.cell),
+    about = {**texts, 'session': saved.session, 'blocks': len(saved.block_index),
+             'voxels': len(saved.cell),
              'observations': int(saved.observations.sum(dtype=np.int64))}
+    return whole_rows(saved, about, list(frame_rows(saved.frames)), block_rows(saved))
+
+
+def whole_rows(saved: MemoryDump, about: dict[str, Any], frames: Iterable[Any],
+               blocks: Iterable[Any]) -> dict[str, Any]:
+    """
+    Return to_rows() of a map whose frames and blocks need not be in memory.
+
+    Parameters
+    ----------
+    saved : persem_ros.core.memory.dump.MemoryDump
+        All of it but these.
+    about : dict
+        What to_rows() has in its texts, and session, blocks, voxels and observations.
+    frames, blocks : iterable of rows
+        In their order; *frames* can be gone through twice.
+
+    """
+    about = {**about, 'origin': struct.pack('<3d', *saved.origin),
+             'voxel_size': saved.voxel_size, 'max_history': saved.max_history,
+             'refined': int(saved.rho is not None)}
     if saved.habits and saved.fitted_by is not None:
         about['habits'] = to_blob(saved.habits, saved.fitted_by)
-    small = {**small_rows(saved), 'frames': list(frame_rows(saved.frames))}
-    about['frames_crc'] = crc_of(small['frames'])
+    small = small_rows(saved)
+    about['frames_crc'] = crc_of(frames)
     about['crc'] = crc_of(about_rows(about, small))
-    return {'about': sorted(about.items()), **small, 'blocks': block_rows(saved)}
+    return {'about': sorted(about.items()), **small, 'frames': frames, 'blocks': blocks}
 
 
 def small_rows(saved: MemoryDump) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from typing import Any, TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.memory.capture import dump
-from persem_ros.core.memory.dump import load as load_memory, MemoryDump
+from persem_ros.core.memory.dump import Blocks, load as load_memory, MemoryDump
 from persem_ros.core.memory.pools import SIDE
 from persem_ros.errors import PersemError
 from persem_ros.guard.database import (
@@ -31,7 +31,8 @@ from persem_ros.guard.database import (
 from persem_ros.outputs.files import replacing
 from persem_ros.outputs.map import schema1
 from persem_ros.outputs.map.lock import WriterLock
-from persem_ros.outputs.map.rows import from_rows, KINDS, NAMES, ORDER, SCHEMA, TABLES, to_rows
+from persem_ros.outputs.map.rows import (
+    blocks_of, from_rows, KINDS, NAMES, ORDER, SCHEMA, TABLES, to_rows)
 from persem_ros.settings import config_file
 from persem_ros.settings.legend import Legend
 
@@ -117,7 +118,8 @@ class StoredMap:
                                   f'give {name} {mine} or another map.path')
 
 
-def save(path: Path, memory: VoxelMemory, config: Config, legend: Legend | None = None) -> None:
+def save(path: Path | str, memory: VoxelMemory | MemoryDump, config: Config,
+         legend: Legend | None = None) -> None:
     """
     Save a map, whole or not at all; the same map gives the same bytes.
 
@@ -142,6 +144,11 @@ def save(path: Path, memory: VoxelMemory, config: Config, legend: Legend | None 
     rows = to_rows(saved, {'settings': config_file.to_yaml(config),
                            'map_frame': config.frames.map,
                            'legend': legend.to_yaml() if legend is not None else ''})
+    write(path, rows)
+
+
+def write(path: Path | str, rows: dict[str, Any]) -> None:
+    """Write the rows of a map file (rows.to_rows), whole or not at all; raises as save() does."""
     fold_log(path)
     with replacing(path) as work:
         try:
@@ -244,9 +251,21 @@ def load(path: Path | str) -> StoredMap:
 
 def load_part(path: Path | str, low: Sequence[int], high: Sequence[int]) -> StoredMap:
     """Return what load() does, but only of blocks whose indices lie within *low* … *high*."""
-    return _read(Path(path), 'WHERE ' + ' AND '.join(
-        f'{axis} BETWEEN {int(least)} AND {int(most)}'
-        for axis, least, most in zip('xyz', low, high))).stored
+    return _read(Path(path), _within(low, high)).stored
+
+
+def _within(low: Sequence[int], high: Sequence[int]) -> str:
+    """Return the WHERE of the blocks whose indices lie within *low* … *high*."""
+    return 'WHERE ' + ' AND '.join(f'{axis} BETWEEN {int(least)} AND {int(most)}'
+                                   for axis, least, most in zip('xyz', low, high))
+
+
+def load_blocks(path: Path | str, low: Sequence[int], high: Sequence[int]) -> Blocks:
+    """Return the blocks that load_part() does, alone; whether they fit anything is not checked."""
+    with reading(Path(path)) as (db, _):
+        return blocks_of(list(checked(
+            db.execute(f'SELECT * FROM blocks {_within(low, high)} ORDER BY {ORDER["blocks"]}'),
+            KINDS['blocks'], held_by(Path(path)))))
 
 
 @dataclass(frozen=True, eq=False)

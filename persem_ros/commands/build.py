@@ -1,0 +1,56 @@
+"""persem build: many recordings become one map, on many cores or a cluster."""
+
+from __future__ import annotations
+
+from typing import Any, TYPE_CHECKING
+
+from persem_ros.commands import add_settings
+
+if TYPE_CHECKING:
+    from argparse import _SubParsersAction, Namespace
+
+
+def add_parser(subparsers: _SubParsersAction[Any]) -> None:
+    """Add the sub-command and its options."""
+    parser = subparsers.add_parser(
+        'build', help='many recordings become one map, on many cores or a cluster',
+        description='Writes the map that persem replay of the same recordings leaves, bit for '
+                    'bit: recordings are observed side by side, the map is put together and '
+                    'refined tile by tile. A build that was stopped goes on where it was: type '
+                    'the same again.',
+        epilog='example: persem build flight1 flight2 flight3 --out map')
+    parser.add_argument('bags', metavar='BAG', nargs='+',
+                        help='a rosbag2 recording: folder, .mcap or .db3; A+B is one input in '
+                             'two recordings, A B are sessions of one map in that order')
+    parser.add_argument('--out', metavar='DIR', required=True,
+                        help='folder of map.persem, config.yaml and build.json')
+    parser.add_argument('--tile', metavar='M', type=float, default=64.0,
+                        help='metres along the edge of a tile (default: 64), rounded up to whole '
+                             'blocks of 8 voxels')
+    parser.add_argument('--workers', metavar='N', type=int, default=0,
+                        help='processes side by side (default: one per core)')
+    parser.add_argument('--scheduler', metavar='ADDRESS', default='',
+                        help='let a dask cluster do the work, for example tls://host:8786; '
+                             "needs pip install 'persem_ros[cluster]'")
+    parser.add_argument('--force', action='store_true',
+                        help='give up what another build left in DIR')
+    add_settings(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: Namespace) -> None:
+    """Build the map; print what it came to."""
+    from pathlib import Path
+
+    from persem_ros.mosaic.run import build
+    from persem_ros.settings import config_file
+    config: Any = config_file.from_args(args.config, args.set_items)
+    result = build(args.bags, args.out, config, args.tile, args.workers, args.scheduler,
+                   args.force)
+    frames, dropped = result['frames']['used'], sum(result['frames']['dropped'].values())
+    print(f'{frames} frames used, {dropped} dropped; {result["sessions"]} sessions, '
+          f'{result["tiles"]} tiles, {result["voxels"]} voxels, {result["observations"]} '
+          'observations')
+    for reason, n in sorted(result['frames']['dropped'].items()):
+        print(f'  {n} dropped: {reason}')
+    print(f'the map is {Path(args.out) / "map.persem"}')

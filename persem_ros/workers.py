@@ -1,0 +1,258 @@
+"""Tasks side by side: on this machine's cores, or on a cluster; results as they are ready."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import as_completed, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing, contextmanager
+import ipaddress
+import multiprocessing
+import os
+from pathlib import Path
+import signal
+import sys
+import threading
+from typing import Any, Protocol
+
+import cv2
+from persem_ros.core import jit
+from persem_ros.errors import PersemError
+from tqdm import tqdm
+
+WORKER_BYTES = 1.5e9        # free memory that a worker should find
+PATIENCE = 10               # seconds for a scheduler to answer
+SAFE = 'tls', 'wss'         # protocols whose messages come from whom they claim to
+_done: Any = None           # units of work that all workers have done, in shared memory
+
+
+class Task(Protocol):
+    """What can be handed to another process."""
+
+    @property
+    def name(self) -> str:
+        """Return what it works on, for refusals."""
+
+
+Results = Generator[tuple[int, Any], None, None]
+Work = Callable[[Any, Any], Any]        # of a task, and of what is called after each unit or None
+
+
+def results(work: Work, tasks: Sequence[Task], workers: int = 0, scheduler: str = '',
+            units: Sequence[int] | None = None, what: str = 'working',
+            unit: str = 'frames') -> Iterator[tuple[int, Any]]:
+    """
+    Yield (place in *tasks*, what *work* returned) as tasks are finished.
+
+    Parameters
+    ----------
+    work : function of a module
+        work(task, tick) does one task; tick(), where it is not None, counts a unit.
+    tasks : sequence of Task
+        All that they depend on; they and what they give can be pickled.
+    workers : int
+        Processes; 0: one per core, as many as the memory allows. One works in this process,
+        with all threads; several have one thread each.
+    scheduler : str
+        Address of a dask scheduler; '': this machine.
+    units : sequence of int, optional
+        How many units each task is, for the progress bar.
+    what, unit : str
+        Words of that bar.
+
+    Raises
+    ------
+    PersemError
+        After all tasks have come to an end, when some failed; at once, when there is no
+        scheduler or a worker died.
+
+    """
+    units = list(units or [1] * len(tasks))
+    failed: list[str] = []
+    with _bar(units, what, unit) as bar:
+        if scheduler:
+            found = _on_cluster(work, tasks, scheduler, units, bar)
+        elif _workers(workers, len(tasks)) > 1:
+            found = _in_processes(work, tasks, _workers(workers, len(tasks)), bar)
+        else:
+            found = _here(work, tasks, bar)
+        with closing(found):        # whoever is told no more of it may stop listening
+            for place, result in found:
+                if isinstance(result, Refused):
+                    failed.append(result)
+                else:
+                    yield place, result
+    if failed:
+        more = f' ({len(failed)} of {len(tasks)} failed)' if len(tasks) > 1 else ''
+        raise PersemError(f'{failed[0]}{more}')
+
+
+class Refused(str):
+    """The sentence that says why a task gave nothing."""
+
+
+def attempt(work: Work, task: Task, tick: Callable[..., Any] | None = None) -> Any:
+    """Return what *work* makes of a task, or why it gives nothing, Refused."""
+    try:
+        return work(task, tick)
+    except PersemError as error:
+        return Refused(error if task.name in str(error) else f'{task.name}: {error}')
+
+
+def attempt_alone(work: Work, task: Task) -> Any:
+    """Do the same on one thread: what a worker does."""
+    one_thread()
+    return attempt(work, task, _tick if _done is not None else None)
+
+
+def one_thread() -> None:
+    """Let this process compute on one core: a worker among others."""
+    jit.set_threads(1)
+    cv2.setNumThreads(1)
+
+
+def _here(work: Work, tasks: Sequence[Task], bar: Any) -> Results:
+    for place, task in enumerate(tasks):
+        yield place, attempt(work, task, bar.update)
+
+
+def _in_processes(work: Work, tasks: Sequence[Task], workers: int,
+                  bar: Any) -> Results:
+    """Yield results of processes that share nothing with this one but a counter."""
+    context = multiprocessing.get_context('spawn')      # a memory must not be forked
+    done = context.Value('q', 0)
+    pool = ProcessPoolExecutor(workers, context, _start_worker, (done,))
+    try:
+        with _following(done, bar):
+            places = {pool.submit(attempt_alone, work, task): k for k, task in enumerate(tasks)}
+            for future in as_completed(places):
+                yield places[future], future.result()
+    except BrokenProcessPool:
+        raise PersemError('a worker died, probably for want of memory; fewer --workers need '
+                          'less, and what is finished is not computed again') from None
+    finally:
+        children = multiprocessing.active_children()
+        pool.shutdown(wait=False, cancel_futures=True)
+        for child in children:
+            child.terminate()
+        for child in children:
+            child.join()
+
+
+def _on_cluster(work: Work, tasks: Sequence[Task], address: str, units: Sequence[int],
+                bar: Any) -> Results:
+    """Yield results of a dask cluster, whose workers see the same files under the same paths."""
+    with connected(address) as client:
+        from distributed import as_completed as as_finished, CancelledError
+        from distributed.scheduler import KilledWorker
+        futures = client.map(attempt_alone, [work] * len(tasks), tasks, pure=False, retries=2)
+        places = {future.key: k for k, future in enumerate(futures)}
+        try:
+            ready: Any = as_finished
+            for future, result in ready(futures, loop=client.loop, with_results=True):
+                bar.update(units[places[future.key]])
+                yield places[future.key], result
+        except (KilledWorker, CancelledError, OSError, RuntimeError, ImportError) as error:
+            raise PersemError(f'--scheduler {address}: the work was lost; the workers need the '
+                              'same persem_ros as here, the same paths and enough memory '
+                              f'({" ".join(str(error).split())[:160]})') from None
+
+
+@contextmanager
+def connected(address: str) -> Iterator[Any]:
+    """
+    Give a client of a dask cluster.
+
+    Raises
+    ------
+    PersemError
+        Where there is no dask.distributed, no scheduler, no worker, or anybody could send them
+        messages: those are code.
+
+    """
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise PersemError(f'--scheduler needs dask.distributed ({error}); install it with: pip '
+                          "install 'persem_ros[cluster]'") from None
+    _check_safe(address)
+    try:
+        begin: Any = Client
+        client = begin(address, timeout=PATIENCE, set_as_default=False)
+    except (OSError, ValueError, TimeoutError, TypeError) as error:
+        raise PersemError(f'--scheduler {address}: no scheduler answers there '
+                          f'({" ".join(str(error).split())[:120]}); start one with: dask '
+                          'scheduler, and workers with: dask worker ADDRESS --nthreads 1') \
+            from None
+    with client:
+        if not client.scheduler_info()['workers']:
+            raise PersemError(f'--scheduler {address}: it has no workers; start some with: dask '
+                              f'worker {address} --nthreads 1')
+        yield client
+
+
+def _check_safe(address: str) -> None:
+    """Refuse an address of the network without TLS: whoever reaches it runs what he likes."""
+    protocol, _, rest = address.rpartition('://')
+    host = (rest.rpartition(':')[0] or rest).strip('[]')
+    try:
+        here = ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        here = host == 'localhost'
+    if not here and protocol not in SAFE:
+        raise PersemError(f"--scheduler {address}: dask's messages are code, and without TLS "
+                          f'anybody on the network can send them; give tls://{rest} (see '
+                          'docs/scale.md) or an address of this machine, tcp://127.0.0.1:8786')
+
+
+def _workers(asked: int, tasks: int) -> int:
+    """Return the number of processes for some tasks."""
+    most = asked or len(os.sched_getaffinity(0))
+    if not asked:
+        most = max(1, min(most, int(_free_bytes() / WORKER_BYTES)))
+    return min(most, tasks)
+
+
+def _free_bytes() -> float:
+    """Return the memory that is free, 8 GB where the system does not say."""
+    try:
+        lines = Path('/proc/meminfo').read_text().splitlines()
+        return 1024 * int(next(x for x in lines if x.startswith('MemAvailable')).split()[1])
+    except (OSError, StopIteration, ValueError):
+        return 8e9
+
+
+def _start_worker(done: Any) -> None:
+    """Prepare a worker: one thread, a counter, and it is the parent that hears Ctrl-C."""
+    global _done
+    _done = done
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    one_thread()
+
+
+def _tick() -> None:
+    with _done.get_lock():
+        _done.value += 1
+
+
+@contextmanager
+def _following(done: Any, bar: Any) -> Iterator[None]:
+    """Let the progress bar follow the workers' counter."""
+    stop = threading.Event()
+
+    def follow() -> None:
+        while not stop.wait(0.2):
+            bar.update(done.value - bar.n)
+    thread = threading.Thread(target=follow, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
+def _bar(units: Sequence[int], what: str, unit: str) -> Any:
+    return tqdm(desc=what, total=sum(units), unit=f' {unit}', leave=False, dynamic_ncols=True,
+                disable=not sys.stderr.isatty())
