@@ -134,14 +134,16 @@ class Dense:
         tables = tables_of(parameters, self.settings)
         where = np.full(len(taken.number), -1, np.int32)
         where[wanted[0]] = np.arange(len(wanted[0]))
-        before, after = (np.empty(len(wanted[0]) * len(votes.classes)) for _ in range(2))
+        before, after = (np.empty((len(wanted[0]) + 1) * len(votes.classes)) for _ in range(2))
+        for Q in (before, after):       # the last row is nobody's: score() adds it for padding
+            Q[-len(votes.classes):] = 0.0
         for number, rows in enumerate(wanted):
             split(_working(score), len(rows), rows, votes.start, votes.count, votes.place,
                   votes.share, votes.total, groups.fine, groups.coarse, groups.shifted, *tables,
                   self.blocks, taken.block, taken.cell, taken.row, where, before,
                   float(self.settings.smoothing) if number else 0.0, after)
             before, after = after, before
-        return where, *(Q.reshape(-1, len(votes.classes)) for Q in (before, after))
+        return where, *(Q.reshape(-1, len(votes.classes))[:-1] for Q in (before, after))
 
 
 def _working(function: Any) -> Any:
@@ -262,15 +264,15 @@ def score(begin, end, work, wanted, start, count, place, share, total, fine, coa
     """
     Write Q of the rows wanted[begin:end] to *after*, at where[row]; tables and Q are flat.
 
-    row is the snapshot's row + 1 of a voxel number. With a smoothing of 0 no neighbour is looked
-    at, otherwise their Q are read from *before*.
+    row is the snapshot's row + 1 of a voxel number; *before* ends with a row of zeros. With a
+    smoothing of 0 no neighbour is looked at, otherwise their Q are read from *before*.
 
     """
     K = len(log_pi)
     Q, scratch, mean = work[0].Q, work[0].scratch, work[0].mean
     bits = scratch.view(np.int64)
     near, here = np.zeros((WIDE, WIDE, WIDE), np.int32), np.int64(-1)
-    listed = np.empty(28, np.uint64)
+    listed, nobody = np.empty(28 + 4, np.uint64), np.uint64(len(before) - K)
     for w in range(begin, end):
         r = wanted[w]
         n = total[r] / (1.0 + rho * max(total[r] - 1.0, 0.0))
@@ -290,10 +292,14 @@ def score(begin, end, work, wanted, start, count, place, share, total, fine, coa
                         around += place_of != 0 and not (dx == 1 and dy == 1 and dz == 1)
             for c in range(K):
                 mean[c] = 0.0
-            for k in range(around):
-                theirs = listed[k]
+            for k in range(around, around + 3):
+                listed[k] = nobody
+            for k in range(0, around, 4):       # four a pass, in the order of one a pass
+                one, two, three, four = listed[k], listed[k + 1], listed[k + 2], listed[k + 3]
                 for c in range(K):
-                    mean[c] += before[theirs + np.uint64(c)]
+                    u = np.uint64(c)
+                    mean[c] = (((mean[c] + before[one + u]) + before[two + u])
+                               + before[three + u]) + before[four + u]
             if around > 0:
                 for c in range(K):
                     Q[c] += smoothing * (mean[c] / around)

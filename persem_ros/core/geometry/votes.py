@@ -106,6 +106,8 @@ def count_votes(begin, end, links, number, index, start, observations, first, he
     crowd = np.zeros(side * side * side, np.int32)      # observations by direction
     where = np.zeros(longest, np.int32)
     labels, confidences = np.empty(longest, np.int64), np.empty(longest)
+    dx, dy, dz, crowded = (np.empty(longest), np.empty(longest), np.empty(longest),
+                           np.ones(longest))
     by_class, plain = np.zeros(65536, np.int64), np.zeros(65536, np.int64)
     sums = np.empty(65536, np.int64)
     chains, left = np.empty(TOGETHER, np.int64), np.empty(TOGETHER, np.int64)
@@ -122,10 +124,17 @@ def count_votes(begin, end, links, number, index, start, observations, first, he
         else:
             follow(links, link_of(links, head[r], first[r], at), at, n, from_where,
                    (index[r, 0] + 0.5) * size + origin[0], (index[r, 1] + 0.5) * size + origin[1],
-                   (index[r, 2] + 0.5) * size + origin[2], directions, where, labels, confidences)
+                   (index[r, 2] + 0.5) * size + origin[2], labels, confidences, dx, dy, dz)
             if directions > 0:
+                sort_by_direction(looks, dx, dy, dz, np.float64(directions), where)
                 for i in range(looks):
                     crowd[where[i]] += 1
+                for i in range(looks):
+                    crowded[i] = crowd[where[i]]
+                for i in range(looks):
+                    crowd[where[i]] = 0
+            for i in range(looks):
+                confidences[i] = np.rint(confidences[i] / crowded[i] * ONE)
             n_classes = 0
             for i in range(looks):
                 c = labels[i]
@@ -136,12 +145,8 @@ def count_votes(begin, end, links, number, index, start, observations, first, he
                         k -= 1
                     ids[k0 + k] = c
                     n_classes += 1
-                m = crowd[where[i]] if directions > 0 else 1
-                by_class[c] += np.int64(np.rint(confidences[i] / m * ONE))
+                by_class[c] += np.int64(confidences[i])
                 plain[c] += 1
-            if directions > 0:
-                for i in range(looks):
-                    crowd[where[i]] = 0
             squares = 0.0
             for k in range(n_classes):
                 c = np.int64(ids[k0 + k])
@@ -187,25 +192,39 @@ def fetch(begin, end, links, number, observations, first, head, voted, keep, cha
 
 
 @inlined
-def follow(links, link, at, n, from_where, x, y, z, directions, where, labels, confidences):
-    """Write labels, confidences and bins of direction of observations at .. n of a voxel."""
-    side, i = 2 * directions + 1, at
+def follow(links, link, at, n, from_where, x, y, z, labels, confidences, dx, dy, dz):
+    """Write labels, confidences and ways from the sensor of observations at .. n of a voxel."""
+    i = at
     while i < n:
         record = links[link - 1]
         c, s, f = record.c, record.s, record.f
         link = np.int64(record.next)
         for p in range(i % CHUNK, min(CHUNK, i % CHUNK + n - i)):
-            labels[i - at], confidences[i - at] = c[p], s[p]
-            if directions > 0:
-                frame = f[p]
-                dx, dy, dz = x - from_where[frame, 0], y - from_where[frame, 1], \
-                    z - from_where[frame, 2]
-                length = np.sqrt(dx * dx + dy * dy + dz * dz)
-                ratio = directions / length if length > 0.0 else 0.0
-                b = np.int64(np.floor(dx * ratio + 1e-9)) + directions
-                b = b * side + np.int64(np.floor(dy * ratio + 1e-9)) + directions
-                where[i - at] = b * side + np.int64(np.floor(dz * ratio + 1e-9)) + directions
+            frame, k = f[p], i - at
+            labels[k], confidences[k] = c[p], s[p]
+            dx[k] = x - from_where[frame, 0]
+            dy[k] = y - from_where[frame, 1]
+            dz[k] = z - from_where[frame, 2]
             i += 1
+
+
+@inlined
+def sort_by_direction(n, dx, dy, dz, directions, where):
+    """
+    Write the bins of n directions.
+
+    A loop of its own without branches, which the compiler turns into vector instructions.
+
+    """
+    side = 2.0 * directions + 1.0
+    for k in range(n):
+        length = np.sqrt(dx[k] * dx[k] + dy[k] * dy[k] + dz[k] * dz[k])
+        ratio = directions / length
+        ratio = ratio if length > 0.0 else 0.0
+        b = np.floor(dx[k] * ratio + 1e-9) + directions
+        b = b * side + (np.floor(dy[k] * ratio + 1e-9) + directions)
+        b = b * side + (np.floor(dz[k] * ratio + 1e-9) + directions)
+        where[k] = np.int32(b)      # whole numbers far below 2^53: exact
 
 
 @inlined
