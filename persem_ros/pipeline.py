@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.frame import images
+from persem_ros.core.frame.clear import clear
 from persem_ros.core.frame.observe import gather
 from persem_ros.core.frame.render import filled, render_map, voxel_image, voxel_image_of
 from persem_ros.core.frame.stride import thinned
@@ -48,11 +49,12 @@ class Pipeline:
         return self._observed(thinned(frame, self.config.memory))
 
     def add(self, frame: Frame) -> Observations:
-        """Integrate a frame; return its observations."""
+        """Integrate a frame, clear what it looks through; return its observations."""
         observations = self.observe(frame)
         if self.memory.pager is not None:
             self.memory.pager.need_voxels(observations.voxels)
         self.memory.add(observations)
+        clear(self.memory, frame, self.config.memory)
         return observations
 
     def refine(self, full: bool = True) -> int:

@@ -1,4 +1,4 @@
-"""Writes map files of schema 1, as versions of persem_ros before schema 2 left them."""
+"""Writes map files as earlier versions of persem_ros left them: of schema 1, the first of 2."""
 
 from contextlib import closing
 import sqlite3
@@ -79,3 +79,28 @@ def _crc(*rows):
         for value in row:
             crc = zlib.crc32(value if isinstance(value, bytes) else f'{value!r};'.encode(), crc)
     return crc
+
+
+# The table blocks of schema 2 before voxels were looked through (memory.clear_after).
+FIRST_OF_2 = (
+    'cell', 'observations', 'switches', 'label', 'majority', 'last', 'first_label', 'source',
+    'dirty', 'gone', 'posterior', 'evidence_count', 'history_count', 'evidence_class',
+    'evidence_sum', 'history_label', 'history_confidence', 'history_frame', 'history_offset')
+
+
+def make_first_of_2(path):
+    """Turn a map file of today into one of the first of schema 2, as these were written."""
+    own = ', '.join(('x', 'y', 'z', 'voxels', 'crc', *FIRST_OF_2))
+    columns = ', '.join(f'{name} BLOB' for name in FIRST_OF_2)
+    with closing(sqlite3.connect(path, isolation_level=None)) as db:
+        rows = list(db.execute(f'SELECT {own} FROM blocks ORDER BY x, y, z'))
+        db.executescript(f"""PRAGMA journal_mode = OFF; BEGIN; DROP TABLE blocks;
+CREATE TABLE blocks (x INTEGER, y INTEGER, z INTEGER, voxels INTEGER, crc INTEGER,
+                     {columns},
+                     PRIMARY KEY (x, y, z));
+""")
+        for row in rows:
+            key, data = row[:4], row[5:]
+            db.execute(f'INSERT INTO blocks VALUES ({", ".join("?" * len(row))})',
+                       (*key, _crc((*key, *data)), *data))
+        db.execute('COMMIT')

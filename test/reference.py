@@ -491,6 +491,89 @@ def render(refined, points, labels, T, voxel_size, fill='input', dynamic=(),
 # ---- section 6: metrics
 
 
+# ---- section 10: clearing what moved away
+
+
+def seen_through(depth, K, T, voxel, voxel_size, origin=(0.0, 0.0, 0.0), min_depth=0.1,
+                 margin=1.5, slope=0.02, far=30.0):
+    """
+    Section 10: whether all that is measured around a voxel lies behind it.
+
+    Parameters
+    ----------
+    depth : rows of float, (h, w)
+        Metres; finite and >= min_depth: measured.
+    K : nested sequence, (3, 3)
+        The pinhole matrix.
+    T : nested sequence, (4, 4)
+        T_map_camera.
+    margin : float
+        Voxels.
+
+    """
+    h, w = len(depth), len(depth[0])
+    pixels, farthest = [], 0.0
+    for corner in product((0, 1), repeat=3):
+        d = [(i + c) * voxel_size + o - T[a][3]
+             for a, (i, c, o) in enumerate(zip(voxel, corner, origin))]
+        x, y, z = (sum(T[b][a] * d[b] for b in range(3)) for a in range(3))
+        if z <= 0 or z > far:
+            return False
+        u, v = K[0][0] * x / z + K[0][2], K[1][1] * y / z + K[1][2]
+        if not (-0.5 <= u < w - 0.5 and -0.5 <= v < h - 0.5):
+            return False
+        pixels.append((math.floor(u + 0.5), math.floor(v + 0.5)))
+        farthest = max(farthest, z)
+    (u0, v0), (u1, v1) = (tuple(f(a) for a in zip(*pixels)) for f in (min, max))
+    around = [depth[v][u] for v in range(v0, v1 + 1) for u in range(u0, u1 + 1)]
+    measured = [z for z in around if math.isfinite(z) and z >= min_depth and z > 0]
+    bound = farthest + margin * voxel_size + slope * farthest
+    return bool(measured) and 2 * len(measured) >= len(around) and all(
+        z > bound for z in measured)
+
+
+class Clearing:
+    """
+    Section 10: looks through voxels, and which voxels are gone.
+
+    Parameters
+    ----------
+    after : int
+        memory.clear_after.
+
+    """
+
+    def __init__(self, after):
+        self.after, self.looks, self.gone = after, {}, set()
+
+    def frame(self, observed, counts, stamp, through):
+        """
+        Take in a frame, after its own observations were added.
+
+        Parameters
+        ----------
+        observed : iterable of voxel
+            What the frame observed.
+        counts : dict
+            {voxel: N_v}.
+        stamp : int
+            Nanoseconds.
+        through : callable
+            through(voxel): whether the frame looks through it.
+
+        """
+        for voxel in observed:
+            self.looks.pop(voxel, None)
+            self.gone.discard(voxel)
+        second = stamp // 10 ** 9
+        for voxel in set(counts) - self.gone:
+            n, last = self.looks.get(voxel, (0, None))
+            if last != second and through(voxel):
+                self.looks[voxel] = n + 1, second
+                if n + 1 >= max(self.after, 0.1 * counts[voxel]):
+                    self.gone.add(voxel)
+
+
 def grouped(label_, table):
     """Section 6: the group of an id; None for an id outside the many-to-one table."""
     return table.get(label_)

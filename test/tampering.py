@@ -14,7 +14,7 @@ from persem_ros.core.refine.explain import explain
 from persem_ros.core.refine.job import label, refine, refine_all
 from persem_ros.core.refine.regions import regions
 from persem_ros.outputs.export.source import MapSource
-from persem_ros.outputs.map import rows, store
+from persem_ros.outputs.map import rows, store, tables
 from persem_ros.outputs.map.cloud import map_points
 from persem_ros.outputs.map.explanation import explanation, of_file
 from persem_ros.outputs.map.habits import from_blob, to_blob
@@ -35,14 +35,14 @@ def renew(path):
     with closing(sqlite3.connect(path)) as db:
         _hurry(db)
         about = dict(db.execute('SELECT name, value FROM about'))
-        tables = {name: list(db.execute(f'SELECT * FROM {name} ORDER BY {rows.ORDER[name]}'))
-                  for name in ('sessions', 'mounts', 'frames', 'classes')}
+        small = {name: list(db.execute(f'SELECT * FROM {name} ORDER BY {tables.ORDER[name]}'))
+                 for name in ('sessions', 'mounts', 'frames', 'classes')}
         if 'frames_crc' in about:
-            about['frames_crc'] = rows.crc_of(tables['frames'])
+            about['frames_crc'] = rows.crc_of(small['frames'])
         for name, value in (('frames_crc', about.get('frames_crc')),
-                            ('crc', rows.crc_of(rows.about_rows(about, tables)))):
+                            ('crc', rows.crc_of(rows.about_rows(about, small)))):
             db.execute('UPDATE about SET value = ? WHERE name = ?', (value, name))
-        place = rows.NAMES['blocks'].index('crc')
+        place = tables.NAMES['blocks'].index('crc')
         for number, *row in list(db.execute('SELECT rowid, * FROM blocks')):
             crc = rows.crc_of([(*row[:place], *row[place + 1:])])
             db.execute('UPDATE blocks SET crc = ? WHERE rowid = ?', (crc, number))
@@ -78,7 +78,7 @@ def tamper(source, target, seed):
 
 def _column(db, rng):
     """Change values inside of a binary column of a block."""
-    name, kind = rng.choice(rows.COLUMNS)
+    name, kind = rng.choice(tables.COLUMNS)
     number, data = rng.choice(list(db.execute(f'SELECT rowid, {name} FROM blocks')))
     values = np.frombuffer(data, kind).copy()
     how = rng.choice(('one', 'one', 'all', 'swap', 'longer', 'shorter', 'null', 'text', 'step'))
@@ -122,7 +122,7 @@ def _about(db, rng):
 def _cell(db, rng):
     """Change a single value of the tables of frames, sessions, mounts, classes and blocks."""
     table = rng.choice(('frames', 'frames', 'sessions', 'mounts', 'classes', 'blocks'))
-    name = rng.choice(rows.NAMES[table])
+    name = rng.choice(tables.NAMES[table])
     value, key = _value(rng), 'sensor' if table == 'mounts' else 'rowid'
     which = rng.choice(list(db.execute(f'SELECT {key} FROM {table}')))[0]
     db.execute(f'UPDATE {table} SET {name} = ? WHERE {key} = ?', (value, which))
@@ -147,8 +147,8 @@ def _rows(db, rng):
 
 def _schema(db, rng):
     """Put a view, a computed column or another table in the place of a table."""
-    table = rng.choice(tuple(rows.NAMES))
-    columns = ', '.join(rows.NAMES[table])
+    table = rng.choice(tuple(tables.NAMES))
+    columns = ', '.join(tables.NAMES[table])
     how = rng.choice((
         f'CREATE VIEW {table} AS SELECT {columns} FROM was',
         f'CREATE VIEW {table} AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i FROM n) '

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, TYPE_CHECKING
 
 from persem_ros.commands import (
-    map_export, map_forget, map_georeference, map_merge, map_move, map_view)
+    map_export, map_forget, map_georeference, map_merge, map_move, map_restore, map_view)
 from persem_ros.errors import PersemError
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ def add_parser(subparsers: _SubParsersAction[Any]) -> None:
     """Add the sub-command and its own sub-commands."""
     parser = subparsers.add_parser(
         'map', help='look into a map file, hand it on: info, query, view, export, georeference, '
-                    'merge, move, forget',
+                    'merge, move, forget, restore',
         description='Looks into a map file (.persem) as a replay or ~/save_map leaves it.')
     actions = parser.add_subparsers(metavar='ACTION', required=True)
 
@@ -35,6 +35,7 @@ def add_parser(subparsers: _SubParsersAction[Any]) -> None:
     map_merge.add_parser(actions)
     map_move.add_parser(actions)
     map_forget.add_parser(actions)
+    map_restore.add_parser(actions)
 
     query_parser = actions.add_parser(
         'query', help='the history of one voxel, its evidence, its label and why',
@@ -61,6 +62,10 @@ def info(args: Namespace) -> None:
     print(f'{len(saved.cell)} voxels in {len(saved.block_index)} blocks, '
           f'{int(saved.observations.sum(dtype=np.int64))} observations'
           + (f', the newest {saved.max_history} of each voxel kept' if saved.max_history else ''))
+    gone = int(saved.gone.sum())
+    if gone:
+        print(f'{gone} of the voxels are gone (memory.clear_after); persem map restore brings '
+              'them back')
     if len(saved.cell):
         low, high = stored.bounds()
         print(f'extent from {_point(low)} to {_point(high)} m')

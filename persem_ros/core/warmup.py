@@ -11,6 +11,7 @@ import sys
 import time
 
 import numpy as np
+from persem_ros.core.frame.clear import clear
 from persem_ros.core.frame.images import placed, points
 from persem_ros.core.frame.observe import Observations, observe
 from persem_ros.core.frame.render import render, render_map, voxel_image, voxel_image_of
@@ -133,6 +134,8 @@ def _refined(memory: VoxelMemory) -> None:
     pixels = placed(frame, Memory(), memory.voxel_size, memory.origin)
     render(voxel_image_of(memory, *pixels, shape), labelled)
     EmaImages(0.5).update(frame.labels)
+    for far in (30.0, 0.2):         # all blocks in memory, and those of a box
+        clear(memory, frame, Memory(clear_after=1, clear_range=far))
     keep_near(memory, (0.0, 0.0, 0.0), max_voxels=memory.n_voxels // 2)
 
 

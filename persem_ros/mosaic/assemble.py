@@ -19,7 +19,8 @@ from persem_ros.guard.database import checked, held_by
 from persem_ros.mosaic.plan import Plan, Tile
 from persem_ros.mosaic.tiles import Part
 from persem_ros.outputs.map import store
-from persem_ros.outputs.map.rows import frame_rows, KINDS, ORDER, whole_rows
+from persem_ros.outputs.map.rows import frame_rows, whole_rows
+from persem_ros.outputs.map.tables import KINDS, ORDER
 from persem_ros.settings import config_file
 
 

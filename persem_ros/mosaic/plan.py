@@ -200,7 +200,7 @@ def _check(config: Config) -> None:
     if config.map.path:
         raise PersemError('map.path: a build begins with an empty map; leave it out, and join '
                           'maps with persem map merge')
-    if getattr(config.memory, 'clear_after', 0):
+    if config.memory.clear_after:
         raise PersemError('memory.clear_after needs the frames one after the other; build with '
                           '--set memory.clear_after=0, or use persem replay')
 

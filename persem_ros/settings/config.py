@@ -77,6 +77,17 @@ class Memory:
     keep_radius: float = setting(
         0.0, 'blocks of voxels farther from the camera are forgotten (node); 0: none', 'm', 0.0,
         1e6)
+    clear_after: int = setting(
+        0, 'looks through a voxel, in as many seconds and since it was last observed, after which '
+        'what stood there has moved away (and a tenth of its observations, where those are more); '
+        '0: never', 'looks', 0, 1 << 20)
+    clear_margin: float = setting(
+        1.5, 'how far behind a voxel all that is measured must lie to look through it', 'voxels',
+        0.0, 1000.0)
+    clear_slope: float = setting(
+        0.02, 'and how much more for each metre of distance', 'm/m', 0.0, 10.0)
+    clear_range: float = setting(
+        30.0, 'voxels farther along the optical axis are not looked through', 'm', 0.0, 1e5)
 
 
 @dataclass(frozen=True)

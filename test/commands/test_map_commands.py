@@ -128,6 +128,24 @@ def test_export_refuses_nothing_to_export(capsys, wall, tmp_path):
     assert status == 1 and 'cannot write' in err
 
 
+def test_what_is_gone_is_told_not_exported_and_comes_back(capsys, wall, tmp_path):
+    path, memory = wall
+    whole = store.load(path).saved
+    number = memory.find([[0, 4, 0]])[0]
+    memory.store.passed[number], memory.m.voxels['gone'][number] = (9, 4, 6), 1
+    memory.n_gone, memory.some_passed = 1, True
+    store.save(path, memory, store.load(path).config(), LEGEND)
+    assert '1 of the voxels are gone' in run(capsys, 'map', 'info', path)[1]
+    out = run(capsys, 'map', 'query', path, 100.3, 2.2, 0.1)[1]
+    assert 'gone: later frames looked through it in 6 seconds' in out and 'anchor: (1' not in out
+    out = run(capsys, 'map', 'export', path, '--ply', tmp_path / 'a.ply')[1]
+    assert out.startswith('9 of 10 voxels')
+    assert run(capsys, 'map', 'restore', path) == (0, f'{path}: 1 voxels are back\n', '')
+    back = store.load(path).saved
+    assert not back.gone.any() and not back.passed.any() and (back.label == whole.label).all()
+    assert 'the file stays as it is' in run(capsys, 'map', 'restore', path)[1]
+
+
 def test_query_says_why(capsys, wall):
     status, out, err = run(capsys, 'map', 'query', wall[0], 100.3, 2.2, 0.1)
     assert (status, err) == (0, '')

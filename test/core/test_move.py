@@ -65,7 +65,7 @@ def seen_in(memory):
     """Return {voxel: [(f, c, s, offset), ...]} of a memory."""
     return {tuple(v): [(f, c, s, tuple(o)) for c, s, f, o in zip(*(
         column.tolist() for column in memory.sightings(v)))]
-        for v in memory.voxels()['voxel'].tolist()}
+        for v in dump(memory).voxels().tolist()}
 
 
 def added(seen, frames, table):

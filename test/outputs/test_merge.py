@@ -6,6 +6,7 @@ import core_worlds as cw
 from hypothesis import given, strategies as st
 import numpy as np
 from persem_ros.cli import main
+from persem_ros.core.memory.capture import dump
 from persem_ros.core.refine.job import refine
 from persem_ros.errors import PersemError
 from persem_ros.outputs.map import store
@@ -54,6 +55,21 @@ def test_two_halves_of_a_flight_are_the_flight(tmp_path_factory, world, cut):
     refine(done.memory, CONFIG.refine)
     assert done.exact and not done.notes
     assert plain(done.memory) == plain(straight)
+
+
+def test_what_is_gone_stays_gone_and_the_command_promises_nothing(tmp_path):
+    one = saved(tmp_path / 'a', frames(1, 2))
+    other = cw.core_of(frames(3, 4, first=9))
+    other.store.passed[0], other.some_passed, other.n_gone = (7, 1, 5), True, 1
+    other.m.voxels['gone'][0] = 1
+    refine(other, CONFIG.refine)
+    store.save(tmp_path / 'b', other, CONFIG)
+    done = merge([one, store.load(tmp_path / 'b')])
+    assert not done.exact and 'b was looked through' in done.notes[0]
+    number = done.memory.find([[0, 0, 0]])
+    assert done.memory.m.voxels['gone'][number] and not done.memory.m.voxels['gone'].sum() > 1
+    kept = dump(done.memory)
+    assert (kept.passed.tolist(), kept.passed_at.tolist()) == ([5, 0], [7, 0])
 
 
 def test_classes_are_matched_by_name(tmp_path):

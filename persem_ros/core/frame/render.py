@@ -30,7 +30,7 @@ def voxel_image(
     numbers = memory.find(observations.voxels)
     image = np.empty(observations.where.shape, np.int32)
     split(_number, len(image), observations.where, numbers, image, grain=65536)
-    return image.reshape(shape)
+    return _present(memory, image).reshape(shape)
 
 
 def voxel_image_of(memory: VoxelMemory, keys: NDArray[np.int64], base: NDArray[np.int64],
@@ -38,7 +38,14 @@ def voxel_image_of(memory: VoxelMemory, keys: NDArray[np.int64], base: NDArray[n
     """Return the same for pixels that were placed (core.frame.observe.place) and not observed."""
     image = np.empty(len(keys), np.int32)
     split(_find, len(keys), memory.m.blocks, memory.table, keys, base, image, grain=32768)
-    return image.reshape(shape)
+    return _present(memory, image).reshape(shape)
+
+
+def _present(memory: VoxelMemory, image: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Make voxels unknown whose content moved away, in place."""
+    if memory.n_gone:
+        split(hide_gone, len(image), memory.m.voxels, image, grain=65536)
+    return image
 
 
 def render(voxels: NDArray[np.int32], labels: NDArray[np.uint16]) -> NDArray[np.uint16]:
@@ -144,6 +151,14 @@ def _find(begin, end, blocks, table, keys, base, image):
         if b >= 0:
             cells = blocks[b].cells
             image[p] = np.int64(cells[((i & 7) * SIDE + (j & 7)) * SIDE + (k & 7)]) - 1
+
+
+@kernel
+def hide_gone(begin, end, voxels, image):
+    """Write -1 for voxels whose content moved away."""
+    for p in range(begin, end):
+        if image[p] >= 0 and voxels[image[p]].gone > 0:
+            image[p] = -1
 
 
 @kernel

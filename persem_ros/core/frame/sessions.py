@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from persem_ros.core.frame.observe import Observations
 from persem_ros.core.memory.dump import MemoryDump
 from persem_ros.core.memory.frame_table import Session
-from persem_ros.core.memory.pools import SIDE
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.errors import PersemError
 
@@ -46,10 +45,8 @@ def observations_of(saved: MemoryDump, session: int, ids: NDArray[np.uint16],
 
     """
     table = saved.frames
-    cell = saved.cell.astype(np.int64)
-    voxels = np.repeat(saved.block_index.astype(np.int64) * SIDE, np.diff(saved.block_start),
-                       axis=0) + np.stack([cell >> 6, cell >> 3 & 7, cell & 7], axis=1) + shift
-    owner = np.repeat(np.arange(len(cell)), np.diff(saved.history_start))
+    voxels = saved.voxels() + shift
+    owner = np.repeat(np.arange(len(voxels)), np.diff(saved.history_start))
     order = np.argsort(saved.history_frame, kind='stable')
     edges = np.searchsorted(saved.history_frame[order], np.arange(len(table) + 1))
     mounts = table.sessions[session].mounts
@@ -78,6 +75,19 @@ def add_session(memory: VoxelMemory, saved: MemoryDump, session: int, ids: NDArr
             memory.frames.note_best(T)
     there = saved.frames.sessions[session]
     memory.frames.sessions[memory.session] = Session(there.uuid, dict(there.mounts))
+
+
+def keep_looks(memory: VoxelMemory, saved: MemoryDump, shift: NDArray[np.int64]) -> None:
+    """Have a memory that has just seen a dump's sessions go on with its looks through voxels."""
+    rows = np.flatnonzero((saved.passed > 0) | (saved.gone > 0))
+    number = memory.find((saved.voxels()[rows] + shift).astype(np.int32))
+    rows, number = rows[number >= 0], number[number >= 0]
+    for name, column in (('count', saved.passed), ('second', saved.passed_at)):
+        memory.store.passed[name][number] = column[rows]
+    memory.store.passed['n'][number] = memory.m.voxels['n'][number]
+    memory.m.voxels['gone'][number] = saved.gone[rows]
+    memory.some_passed |= len(number) > 0
+    memory.n_gone += int(np.count_nonzero(saved.gone[rows]))
 
 
 def fingerprint(saved: MemoryDump, session: int) -> str:

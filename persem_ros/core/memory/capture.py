@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.memory.dump import (
-    evidence_of_voxels, habits_of, MemoryDump, read_histories)
+    evidence_of_voxels, habits_of, looks_through, MemoryDump, read_histories)
 from persem_ros.core.memory.pools import ranges, sparse_zeros
 from persem_ros.core.memory.voxel_memory import sort_order
 
@@ -38,6 +38,8 @@ class _Slice:
     records: NDArray[np.void]
     posterior: NDArray[np.float32]
     dirty: NDArray[np.uint8]
+    passed: NDArray[np.uint32]
+    passed_at: NDArray[np.int64]
     start: NDArray[np.int64]            # of the evidence
     classes: NDArray[np.uint16]
     sums: NDArray[np.float64]
@@ -110,7 +112,7 @@ class Capture:
         index, last = index[order], last[order]
         rows = ranges(start[last], counts[last])
         joined = {name: np.concatenate([getattr(one, name) for one in slices])[rows]
-                  for name in ('cell', 'records', 'posterior', 'dirty')}
+                  for name in ('cell', 'records', 'posterior', 'dirty', 'passed', 'passed_at')}
         records = joined['records']
         evidence = _evidence(slices, rows)
         history_start, *history = read_histories(memory, records)
@@ -121,9 +123,10 @@ class Capture:
             joined['cell'].astype(np.uint16),
             records['n'], records['switches'], records['label'], records['majority'],
             records['last'], records['first_label'], records['source'], joined['dirty'],
-            records['gone'], joined['posterior'], *evidence, history_start, *history,
-            memory.voxel_size, memory.origin, memory.kept_history, session, starts, changes,
-            seen_ids, rho, frames, habits, by)
+            records['gone'], joined['posterior'], joined['passed'], joined['passed_at'],
+            *evidence, history_start, *history, memory.voxel_size,
+            memory.origin, memory.kept_history, session, starts, changes, seen_ids, rho, frames,
+            habits, by)
 
     def close(self) -> None:
         """Read nothing more of the map."""
@@ -158,6 +161,7 @@ def _copied(memory: VoxelMemory, blocks: NDArray[np.int64], counts: NDArray[np.i
     posterior = np.where(beliefs['label'] == records['label'], beliefs['posterior'],
                          np.float32(0))
     return _Slice(blocks, counts, cell, records, posterior, dirty,
+                  *looks_through(memory, number, records['n']),
                   *evidence_of_voxels(memory, number))
 
 

@@ -21,7 +21,7 @@ class Changed:
     index : ndarray, shape (b, 3), int32
         Indices of the blocks.
     counts : ndarray, shape (b,), int64
-        How many voxels lie in each.
+        How many voxels lie in each, those left out whose content moved away.
     columns : dict
         As VoxelMemory.columns() returns them, of the voxels of these blocks, block after block.
     forgotten, left : ndarray, shape (., 3), int32
@@ -95,9 +95,14 @@ class Changes:
             order = order[:int(np.searchsorted(np.cumsum(counts[order]), most)) + 1]
             found, counts = found[order], counts[order]
         self._told[found] = memory.clock
+        listed = memory.listing(found, present=True)
+        if memory.n_gone:
+            place = sparse_zeros(n, np.int64)
+            place[found] = np.arange(len(found))
+            counts = np.bincount(place[listed[0]], minlength=len(found))
         gone, self.gone = self.gone, []
         return Changed(
-            memory.m.blocks['index'][found], counts, memory.columns(found),
+            memory.m.blocks['index'][found], counts, memory.columns_of(*listed),
             *(np.concatenate([np.empty((0, 3), np.int32), *(index for kept, index in gone
                                                             if kept == wanted)])
               for wanted in (False, True)), anew, complete)

@@ -14,7 +14,7 @@ from persem_ros.core.memory.evidence import add_evidence, count_classes, read_ev
 from persem_ros.core.memory.frame_table import FrameTable
 from persem_ros.core.memory.history import link_of
 from persem_ros.core.memory.pools import (
-    BLOCKS, CHUNK, CLOCK, INLINE, LINKS, OBSERVATIONS, SPILLS, STORED, VOXELS)
+    BLOCKS, CHUNK, CLOCK, INLINE, LINKS, OBSERVATIONS, SIDE, SPILLS, STORED, VOXELS)
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 
 
@@ -36,6 +36,10 @@ class Blocks:
     source, dirty, gone : ndarray, shape (n,), uint8
     posterior : ndarray, shape (n,), float32
         Of the label, where the method geometry gave it; 0: none.
+    passed : ndarray, shape (n,), uint32
+        Looks through the voxel since its last observation (core.frame.clear).
+    passed_at : ndarray, shape (n,), int64
+        Second of the newest one's stamp; 0 where there is none.
     evidence_start : ndarray, shape (n + 1,), int64
     evidence_class : ndarray, uint16
     evidence_sum : ndarray, float64
@@ -63,6 +67,8 @@ class Blocks:
     dirty: np.ndarray
     gone: np.ndarray
     posterior: np.ndarray
+    passed: np.ndarray
+    passed_at: np.ndarray
     evidence_start: np.ndarray
     evidence_class: np.ndarray
     evidence_sum: np.ndarray
@@ -71,6 +77,13 @@ class Blocks:
     history_confidence: np.ndarray
     history_frame: np.ndarray
     history_offset: np.ndarray
+
+    def voxels(self) -> NDArray[np.int64]:
+        """Return the indices of the voxels, (n, 3) int64."""
+        cell = self.cell.astype(np.int64)
+        corner = np.repeat(self.block_index.astype(np.int64) * SIDE, np.diff(self.block_start),
+                           axis=0)
+        return corner + np.stack([cell >> 6, cell >> 3 & 7, cell & 7], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +143,6 @@ def take_over(memory: VoxelMemory, saved: MemoryDump) -> None:
     memory.seen_ids[:] = saved.seen_ids
     memory.rho = None if saved.rho is None else saved.rho.copy()
     memory.habits, memory.fitted_by = saved.habits, saved.fitted_by
-    memory.n_gone = int(np.count_nonzero(saved.gone))
     memory.voted_ids[saved.history_label] = 1
     for name, ids in (('known', memory.known_ids), ('voted', memory.voted_ids)):
         ids[saved.habits.get(name, [])] = 1
@@ -151,6 +163,12 @@ def enter(memory: VoxelMemory, saved: Blocks) -> NDArray[np.int64]:
     memory.growth = None        # some may have the numbers of blocks that left
     for field in ('switches', 'label', 'majority', 'last', 'first_label', 'source', 'gone'):
         memory.m.voxels[field][number] = getattr(saved, field)
+    memory.n_gone += int(np.count_nonzero(saved.gone))
+    if saved.passed.any():
+        memory.some_passed = True
+        for name, values in (('count', saved.passed), ('second', saved.passed_at),
+                             ('n', np.where(saved.passed > 0, saved.observations, 0))):
+            memory.store.passed[name][number] = values
     if saved.posterior.any():
         memory.store.beliefs['posterior'][number] = saved.posterior
         memory.store.beliefs['label'][number] = saved.label
@@ -180,6 +198,16 @@ def evidence_of_voxels(
     classes, sums = np.empty(start[-1], np.uint16), np.empty(start[-1])
     _read_evidence(pools.voxels, pools.spills, number, start, classes, sums)
     return start, classes, sums
+
+
+def looks_through(memory: VoxelMemory, number: NDArray[np.int64], n: NDArray[np.uint32],
+                  ) -> tuple[NDArray[np.uint32], NDArray[np.int64]]:
+    """Return passed and passed_at of voxels with *n* observations, by their numbers."""
+    if not memory.some_passed:
+        return np.zeros(len(number), np.uint32), np.zeros(len(number), np.int64)
+    found = memory.store.passed[number]
+    found[found['n'] != n] = 0
+    return found['count'], found['second']
 
 
 def read_histories(memory: VoxelMemory, records: NDArray[np.void]) -> tuple[NDArray, ...]:

@@ -97,6 +97,8 @@ def drop(memory: VoxelMemory, numbers: NDArray[np.int64], kept: bool = False) ->
     cells = memory.m.blocks['cells'][numbers]
     memory.store.beliefs['posterior'][cells[cells > 0] - 1] = 0.0
     memory.store.voted['n'][cells[cells > 0] - 1] = 0
+    if memory.some_passed:
+        memory.store.passed[cells[cells > 0] - 1] = 0
     _drop(memory.m, memory.table, numbers, kept)
     memory.relief = None
     if memory.geometry is not None:     # it looks farther than the blocks beside

@@ -107,7 +107,8 @@ def moved(saved: MemoryDump, best: NDArray[np.float64], rows: NDArray[np.bool_])
     """
     frames, counts = saved.frames.copy(), np.diff(saved.history_start)
     new = regrouped(
-        _voxels(saved), np.repeat(np.arange(len(counts), dtype=np.int32), counts), saved.gone,
+        saved.voxels().astype(np.int32),
+        np.repeat(np.arange(len(counts), dtype=np.int32), counts), saved.gone,
         saved.history_label, saved.history_confidence, saved.history_frame, saved.history_offset,
         turns_of(frames.placed, best, saved.origin), rows, saved.voxel_size)
     placed, known = frames.placed.copy(), frames.best.copy()
@@ -196,13 +197,6 @@ def _keys(voxels: NDArray[np.int32],
     return low, span, keys
 
 
-def _voxels(saved: MemoryDump) -> NDArray[np.int32]:
-    """Return the indices of a dump's voxels, (V, 3)."""
-    cell = saved.cell.astype(np.int32)
-    return np.repeat(saved.block_index * np.int32(SIDE), np.diff(saved.block_start), axis=0) \
-        + np.stack([cell >> 6, cell >> 3 & 7, cell & 7], axis=1)
-
-
 def _columns(saved: MemoryDump, new: Regrouped) -> dict[str, Any]:
     """Return what of a dump is other after the move."""
     v, n = len(new.voxels), len(new.labels)
@@ -231,6 +225,7 @@ def _columns(saved: MemoryDump, new: Regrouped) -> dict[str, Any]:
         'last': new.labels[new.start[1:] - 1], 'first_label': new.labels[new.start[:-1]],
         'source': kept(saved.source, 0), 'dirty': kept(saved.dirty, 1),
         'gone': new.gone, 'posterior': kept(saved.posterior, 0),
+        'passed': kept(saved.passed, 0), 'passed_at': kept(saved.passed_at, 0),
         'evidence_start': evidence_start, 'evidence_class': classes[:entries].copy(),
         'evidence_sum': sums[:entries].copy(), 'history_start': new.start,
         'history_label': new.labels, 'history_confidence': new.confidences,

@@ -57,6 +57,10 @@ VOTED = np.dtype([('low', 'u4', 2), ('high', 'u2', 2),      # H_v(c) in units of
                   ('classes', 'u2', 2),
                   ('n', 'u4'),
                   ('pairs', 'u4')])                         # sum of the squares of plain counts
+# Looks through a voxel since its last observation (core.frame.clear); of use where its N_v is
+# still *n*, so that adding an observation need not touch it.
+PASSED = np.dtype([('second', 'i8'),        # of the newest one's stamp
+                   ('n', 'u4'), ('count', 'u4')])
 SPILL = np.dtype([('sums', 'f8', INLINE), ('classes', 'u2', INLINE), ('pad', 'u2'),
                   ('next', 'u4'), ('pad2', 'u4')])
 BLOCK = np.dtype([
@@ -101,6 +105,8 @@ class Store:
         By voxel number.
     voted : ndarray, VOTED
         By voxel number; only refinements read and write it.
+    passed : ndarray, PASSED
+        By voxel number.
     capacity : dict
         Largest number of blocks, voxels, links and spills.
 
@@ -113,7 +119,9 @@ class Store:
         self.capacity = {name: len(pool) for name, pool in self._pools.items()}
         self.beliefs = _reserve(BELIEF, memory // 8)
         self.voted = _reserve(VOTED, memory // 4)
-        self.capacity['voxels'] = min(self.capacity['voxels'], len(self.beliefs), len(self.voted))
+        self.passed = _reserve(PASSED, memory // 4)
+        self.capacity['voxels'] = min(self.capacity['voxels'], len(self.beliefs), len(self.voted),
+                                      len(self.passed))
         self.arrays = Pools(
             *self._pools.values(), _reserve(OFFSETS, memory // 2),
             _reserve(STAMP, self.capacity['blocks'] * STAMP.itemsize),

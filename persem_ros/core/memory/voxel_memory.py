@@ -69,7 +69,8 @@ class VoxelMemory:
         self.table = new_table(512)
         self.geometry = None        # parameters of the method geometry (core.geometry)
         self.relief = None          # core.geometry.relief.Relief, kept between refinements
-        self.n_gone = 0             # voxels that moved away; their blocks are stamped
+        self.n_gone = 0             # voxels that moved away so far; 0: no record says gone
+        self.some_passed = False    # whether any record of store.passed is in use
         self.voted_ids = np.zeros(65536, np.uint8)      # ids of observations
         self.habits = {}            # the same as arrays, as a file had them, until needed
         self.fitted_by = None       # refine.up and values of refine.geometry it was fitted with
@@ -183,12 +184,13 @@ class VoxelMemory:
         return np.divide(self.m.changes, starts, out=np.zeros(65536), where=starts > 0)
 
     def listing(
-            self, blocks: Any = None
+            self, blocks: Any = None, present: bool = False
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
         """
         Return (block, cell, voxel number), each (n,) int64, of voxels, block by block.
 
-        blocks (b,) int64 are the numbers of the blocks, None: all.
+        blocks (b,) int64 are the numbers of the blocks, None: all. Where only what is *present*
+        is wanted, voxels whose content moved away are left out.
 
         """
         if blocks is None:
@@ -198,11 +200,14 @@ class VoxelMemory:
             size = int(self.m.blocks['count'][blocks][live].sum(dtype=np.int64))
         lists = tuple(np.empty(size, np.int64) for _ in range(3))
         list_voxels(self.m.blocks, blocks, *lists)
+        if present and self.n_gone:
+            here = self.m.voxels['gone'][lists[2]] == 0
+            lists = tuple(column[here] for column in lists)
         return lists
 
     def voxels(self) -> dict[str, Any]:
         """
-        Return the map as columns, sorted by voxel index.
+        Return the map as columns, sorted by voxel index; without what moved away.
 
         Returns
         -------
@@ -223,7 +228,11 @@ class VoxelMemory:
         One pass over the records, a tenth of what sorting and gathering by column costs.
 
         """
-        block, cell, number = self.listing(blocks)
+        return self.columns_of(*self.listing(blocks, present=True))
+
+    def columns_of(self, block: NDArray[np.int64], cell: NDArray[np.int64],
+                   number: NDArray[np.int64]) -> dict[str, Any]:
+        """Return what columns() does of the voxels of a listing()."""
         n = len(number)
         columns = {'voxel': np.empty((n, 3), np.int32), 'label': np.empty(n, np.uint16),
                    'majority': np.empty(n, np.uint16), 'confidence': np.empty(n, np.float32),

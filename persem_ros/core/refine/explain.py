@@ -46,9 +46,10 @@ def explain(memory: VoxelMemory, voxel: NDArray[np.int32], settings: Refine) -> 
         replayed {c: e}; candidate, replay_margin, hard_margin, soft_margin (None where no step
         proposes another label); label and source that follow from all this; stored_label and
         stored_source, what the map has; changed (True where it was observed after the map was
-        refined); geometry, for that method what core.geometry.account.account returns, with
-        the map's parameters, or fitted ones where it has none; shapes and ground are those of the
-        last refinement where these are at hand.
+        refined); gone, how many looks through it made it so (0: before it was moved),
+        None: it is there, else nothing follows; geometry, for that method what
+        core.geometry.account.account returns, with the map's parameters, or fitted ones where it
+        has none; shapes and ground are those of the last refinement where these are at hand.
 
     Raises
     ------
@@ -73,7 +74,10 @@ def explain(memory: VoxelMemory, voxel: NDArray[np.int32], settings: Refine) -> 
         'replayed': replayed, 'candidate': None, 'replay_margin': None, 'hard_margin': None,
         'soft_margin': None, 'label': majority, 'source': MAJORITY,
         'stored_label': int(record['label']), 'stored_source': int(record['source']),
-        'changed': memory.changed(voxel), 'geometry': None}
+        'changed': memory.changed(voxel), 'geometry': None,
+        'gone': int(memory.store.passed['count'][number]) if record['gone'] else None}
+    if trace['gone'] is not None:
+        return trace
     if n:
         trace['anchor'] = {c: (1 - settings.eta) * shares.get(c, 0.0)
                            + settings.eta * soft.get(c, 0.0) for c in sorted({*shares, *soft})}
@@ -146,6 +150,7 @@ def support(
                         for d in directions(neighbours).tolist()])
     around = (np.asarray(voxel) + offsets).astype(np.int32)
     numbers = memory.find(around)
+    numbers[memory.m.voxels['gone'][numbers] > 0] = -1      # a -1 stays one
     hard, soft, n = {}, {}, int(np.count_nonzero(numbers >= 0))
     for index, number in zip(around, numbers):
         if number < 0:

@@ -354,6 +354,8 @@ def _believe(memory: VoxelMemory, taken: Snapshot, labels: NDArray[np.uint16],
              posterior: NDArray[np.float32]) -> None:
     """Note the posteriors of labels; where there are none, forget what was noted before."""
     beliefs, number = memory.store.beliefs, taken.number[:taken.refined]
+    if memory.n_gone:
+        posterior = np.where(memory.m.voxels['gone'][number] > 0, np.float32(0), posterior)
     before = beliefs['posterior'][number]
     if posterior.any() or before.any():
         other = taken.block[:taken.refined][before != posterior]
@@ -368,6 +370,8 @@ def _enter(begin, end, voxels, stamps, now, block, number, majority, labels, sou
     """Write labels and sources to the voxels' records; stamp the blocks where they are new."""
     for r in range(begin, end):
         v = number[r]
+        if voxels[v].gone:      # meanwhile
+            continue
         label = voxels[v].majority if labels[r] == majority[r] else labels[r]
         if voxels[v].label != label or voxels[v].source != sources[r]:
             voxels[v].label = label

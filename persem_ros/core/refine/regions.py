@@ -65,7 +65,8 @@ def _classify(begin, end, blocks, voxels, block, cell, number, start, shares, ne
             if other == 0:
                 continue
             u = np.int64(blocks[other - 1].cells[place])
-            if u > 0 and voxels[u - 1].majority != voxels[v].majority:
+            if u > 0 and voxels[u - 1].gone == 0 and \
+                    voxels[u - 1].majority != voxels[v].majority:
                 boundary = 1
                 break
         high = 0

@@ -89,6 +89,7 @@ def check_blocks(saved: Blocks, frame_t: NDArray[np.int32],
             saved.label, saved.majority, saved.last, saved.first_label, saved.history_label,
             saved.evidence_class)) <= MAX_ID and saved.source.max(initial=0) < len(SOURCES) and
         saved.dirty.max(initial=0) <= 1 and saved.gone.max(initial=0) <= 1,
+        'looks through voxels': bool(((saved.passed > 0) | (saved.passed_at == 0)).all()),
         'posteriors': bool(((saved.posterior >= 0) & (saved.posterior <= 1)).all()),
         'evidence': bool((np.diff(saved.evidence_start) > 0).all())})
     starts, changes = np.zeros(MAX_ID + 2, np.int64), np.zeros(MAX_ID + 2, np.int64)
@@ -108,6 +109,7 @@ def _check_lengths(saved: Blocks, about: Mapping[str, Any]) -> None:
     evidence, history = len(saved.evidence_sum), len(saved.history_frame)
     lengths = {'observations': n, 'switches': n, 'label': n, 'majority': n, 'last': n,
                'first_label': n, 'source': n, 'dirty': n, 'gone': n, 'posterior': n,
+               'passed': n, 'passed_at': n,
                'evidence_class': evidence,
                'history_label': history,
                'history_confidence': history, 'history_offset': history}

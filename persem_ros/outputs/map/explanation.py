@@ -111,6 +111,10 @@ def reasons(
                       f'min_observations is {settings.min_observations}')
     else:
         result += _refinement(trace, settings, name)
+    if trace['gone'] is not None:
+        looks = f' in {trace["gone"]} seconds' if trace['gone'] else ''
+        return [*result[:1], f'gone: later frames looked through it{looks} since it was last '
+                'observed; it is not shown and no neighbour']
     if trace['changed']:
         result.append('observed since the map was last refined: the stored label may be older '
                       'than this trace')

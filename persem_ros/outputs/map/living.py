@@ -29,8 +29,8 @@ from persem_ros.outputs.map import store
 from persem_ros.outputs.map.checks import check_blocks, FARTHEST_BLOCK
 from persem_ros.outputs.map.lock import WriterLock
 from persem_ros.outputs.map.rows import (
-    about_rows, block_rows, blocks_of, COLUMNS, crc_of, frame_rows, KINDS, NAMES, small_rows,
-    TABLES)
+    about_rows, block_rows, blocks_of, crc_of, frame_rows, small_rows)
+from persem_ros.outputs.map.tables import COLUMNS, KINDS, NAMES, TABLES
 from persem_ros.settings import config_file
 from persem_ros.settings.config import Config
 from persem_ros.settings.legend import Legend

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.frame.sessions import add_session, fingerprint, nothing_forgotten, whole
+from persem_ros.core.frame.sessions import (
+    add_session, fingerprint, keep_looks, nothing_forgotten, whole)
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.errors import PersemError
 from persem_ros.outputs.map.store import StoredMap
@@ -70,12 +71,17 @@ def merge(maps: list[StoredMap], by_id: bool = False, legend: Legend | None = No
         if not nothing_forgotten(one.saved):
             done.exact = False
             done.notes.append(f'{one.path} has let go of voxels, which are in no merge')
+        if one.saved.passed.any():
+            done.exact = False
+            done.notes.append(f'{one.path} was looked through (memory.clear_after): its counts '
+                              'are kept, those through voxels of the others are missing')
     for one in maps[1:]:
         shift = _shift(first, one)
         ids = np.arange(65536).astype(np.uint16) if by_id or legend is not None else \
             _ids(done, one)
         renamed = (ids != np.arange(65536)) & (one.saved.seen_ids > 0)
         done.exact &= not shift.any() and not renamed.any()
+        added = False
         for number, session in sorted(one.saved.frames.sessions.items()):
             if session.uuid in known:
                 _check_same(known[session.uuid], (one, number))
@@ -84,6 +90,9 @@ def merge(maps: list[StoredMap], by_id: bool = False, legend: Legend | None = No
                 continue
             known[session.uuid] = one, number
             add_session(done.memory, one.saved, number, ids, shift)
+            added = True
+        if added:
+            keep_looks(done.memory, one.saved, shift)
         done.memory.seen_ids[ids[np.flatnonzero(one.saved.seen_ids)]] = 1
     return done
 
@@ -184,4 +193,5 @@ def without(stored: StoredMap, session: int) -> VoxelMemory:
     for number in there:
         if number != session:
             add_session(memory, saved, number, every, np.zeros(3, np.int64))
+    keep_looks(memory, saved, np.zeros(3, np.int64))
     return memory

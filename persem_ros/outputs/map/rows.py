@@ -12,46 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.memory.dump import Blocks, MemoryDump
 from persem_ros.core.memory.frame_table import FrameTable, Session
+from persem_ros.core.memory.pools import CELLS
 from persem_ros.frames import MAX_ID
 from persem_ros.outputs.map import schema1
 from persem_ros.outputs.map.checks import check_about, check_dump, check_head
 from persem_ros.outputs.map.habits import from_blob, to_blob
-
-SCHEMA = 2
-ORDER = {'about': 'name', 'sessions': 'number', 'mounts': 'session, sensor', 'frames': 'row',
-         'classes': 'id', 'blocks': 'x, y, z'}
-VOXEL = (('cell', '<u2'), ('observations', '<u4'), ('switches', '<u4'), ('label', '<u2'),
-         ('majority', '<u2'), ('last', '<u2'), ('first_label', '<u2'), ('source', 'u1'),
-         ('dirty', 'u1'), ('gone', 'u1'), ('posterior', '<f4'))
-EVIDENCE = (('evidence_class', '<u2'), ('evidence_sum', '<f8'))
-HISTORY = (('history_label', '<u2'), ('history_confidence', '<f4'), ('history_frame', '<i4'),
-           ('history_offset', 'u1'))
-AXES = {'history_offset': 3}        # numbers an entry; 1 elsewhere
-COUNTS = (('evidence_count', '<u4'), ('history_count', '<u4'))
-COLUMNS = (*VOXEL, *COUNTS, *EVIDENCE, *HISTORY)
-TABLES = f"""
-CREATE TABLE about (name TEXT PRIMARY KEY, value) WITHOUT ROWID;
-CREATE TABLE frames (row INTEGER PRIMARY KEY, t INTEGER, session INTEGER, sensor TEXT,
-                     stamp INTEGER, T_map_sensor BLOB, T_map_best BLOB);
-CREATE TABLE sessions (number INTEGER PRIMARY KEY, uuid TEXT);
-CREATE TABLE mounts (session INTEGER, sensor TEXT, T_body_sensor BLOB,
-                     PRIMARY KEY (session, sensor)) WITHOUT ROWID;
-CREATE TABLE classes (id INTEGER PRIMARY KEY, starts INTEGER, changes INTEGER, seen INTEGER,
-                      rho REAL);
-CREATE TABLE blocks (x INTEGER, y INTEGER, z INTEGER, voxels INTEGER, crc INTEGER,
-                     {", ".join(f"{name} BLOB" for name, _ in COLUMNS)},
-                     PRIMARY KEY (x, y, z));
-"""
-# Columns of the tables and the types of their values, as a file must have them.
-NAMES = {'about': ('name', 'value'),
-         'sessions': ('number', 'uuid'), 'mounts': ('session', 'sensor', 'T_body_sensor'),
-         'frames': ('row', 't', 'session', 'sensor', 'stamp', 'T_map_sensor', 'T_map_best'),
-         'classes': ('id', 'starts', 'changes', 'seen', 'rho'),
-         'blocks': ('x', 'y', 'z', 'voxels', 'crc', *(name for name, _ in COLUMNS))}
-KINDS = {'about': (str, (int, float, str, bytes)), 'sessions': (int, str),
-         'mounts': (int, str, bytes),
-         'frames': (int, int, int, str, int, bytes, (bytes, type(None))),
-         'classes': (int, int, int, int, float), 'blocks': (int,) * 5 + (bytes,) * len(COLUMNS)}
+from persem_ros.outputs.map.tables import AXES, COLUMNS, COUNTS, EVIDENCE, HISTORY, SPARSE, VOXEL
 
 
 def to_rows(saved: MemoryDump, texts: dict[str, str]) -> dict[str, Any]:
@@ -155,11 +121,14 @@ def block_rows(saved: MemoryDump) -> Iterator[tuple[bytes | int, ...]]:
     borders = saved.block_start, saved.evidence_start[saved.block_start], \
         saved.history_start[saved.block_start]
     which = [borders[0]] * (len(VOXEL) + len(COUNTS)) + [borders[1]] * len(EVIDENCE) + \
-        [borders[2]] * len(HISTORY)
+        [borders[2]] * len(HISTORY) + [borders[0]] * len(SPARSE)
     edges = [(border * size).tolist() for border, size in zip(which, sizes)]
     index, rows = saved.block_index.tolist(), np.diff(saved.block_start).tolist()
+    looks = np.diff(np.concatenate([[0], np.cumsum(saved.passed > 0)])[saved.block_start])
     for b, (x, y, z) in enumerate(index):
         data = [view[edge[b]:edge[b + 1]] for view, edge in zip(views, edges)]
+        if not looks[b]:
+            data[-len(SPARSE):] = [b''] * len(SPARSE)
         key = x, y, z, rows[b]
         yield (*key, crc_of([(*key, *data)]), *data)
 
@@ -257,8 +226,15 @@ def columns_of(blocks: list[Any], first: bool) -> dict[str, NDArray[Any]]:
     for row in blocks:
         if row[4] != crc_of([(*row[:4], *row[5:])]):
             raise ValueError(f'checksum of block {row[:3]}')
+        if not 0 < row[3] <= CELLS:
+            raise ValueError('number of voxels')
     columns = {name: np.frombuffer(bytearray().join(row[5 + k] for row in blocks), kind)
-               for k, (name, kind) in enumerate(schema1.COLUMNS if first else COLUMNS)}
+               for k, (name, kind) in enumerate(
+                   schema1.COLUMNS if first else COLUMNS[:-len(SPARSE)])}
+    for k, (name, kind) in enumerate(() if first else SPARSE, len(columns)):
+        columns[name] = np.frombuffer(bytearray().join(
+            b''.join(row[5 + k:6 + k]) or bytes(row[3] * np.dtype(kind).itemsize)
+            for row in blocks), kind)
     for name, axes in AXES.items():
         if name in columns:
             columns[name] = columns[name].reshape(-1, axes)

@@ -71,4 +71,6 @@ def added(columns: dict[str, NDArray], history_start: NDArray[np.int64],
             'history_offset': np.full((len(t), 3), CENTRE, np.uint8),
             'first_label': columns['history_label'][first],
             'gone': np.zeros(len(first), np.uint8),
-            'posterior': np.zeros(len(first), np.float32)}
+            'posterior': np.zeros(len(first), np.float32),
+            'passed': np.zeros(len(first), np.uint32),
+            'passed_at': np.zeros(len(first), np.int64)}

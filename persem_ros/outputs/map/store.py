@@ -23,16 +23,16 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.memory.capture import dump
 from persem_ros.core.memory.dump import Blocks, load as load_memory, MemoryDump
-from persem_ros.core.memory.pools import SIDE
 from persem_ros.errors import PersemError
 from persem_ros.guard.database import (
-    check_beside, check_declared, check_tables, checked, harden, held_by, journal_of, opened,
+    check_beside, check_tables, checked, harden, held_by, journal_of, opened,
     Unsafe)
 from persem_ros.outputs.files import replacing
 from persem_ros.outputs.map import schema1
 from persem_ros.outputs.map.lock import WriterLock
-from persem_ros.outputs.map.rows import (
-    blocks_of, from_rows, KINDS, NAMES, ORDER, SCHEMA, TABLES, to_rows)
+from persem_ros.outputs.map.rows import blocks_of, from_rows, to_rows
+from persem_ros.outputs.map.tables import (
+    bring_up, check_ours, declared, KINDS, NAMES, ORDER, SCHEMA, TABLES)
 from persem_ros.settings import config_file
 from persem_ros.settings.legend import Legend
 
@@ -97,9 +97,7 @@ class StoredMap:
     def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the corners (3,) of all voxels' centres, metres in the map frame."""
         saved = self.saved
-        cell = saved.cell.astype(np.int64)
-        voxel = np.repeat(saved.block_index.astype(np.int64) * SIDE, np.diff(saved.block_start),
-                          axis=0) + np.stack([cell >> 6, cell >> 3 & 7, cell & 7], axis=1)
+        voxel = saved.voxels()
         return tuple((corner + 0.5) * saved.voxel_size + np.array(saved.origin)
                      for corner in (voxel.min(axis=0), voxel.max(axis=0)))
 
@@ -184,7 +182,7 @@ def fold_log(path: Path | str, locked: bool = False) -> None:
         check_beside(path)
         with closing(sqlite3.connect(path, isolation_level=None)) as db:
             harden(db)
-            check_tables(db, NAMES)
+            check_ours(db)
             db.execute('PRAGMA wal_checkpoint(TRUNCATE)').fetchall()
             db.execute('PRAGMA journal_mode = DELETE').fetchall()
     except (sqlite3.Error, ValueError) as error:
@@ -199,6 +197,8 @@ def declared_as_ours(path: Path) -> None:
     """
     Write a map file anew that is of schema 1, or whose tables somebody else has declared.
 
+    One of the first of schema 2 gets the columns that it lacks, in place.
+
     Raises
     ------
     PersemError
@@ -210,9 +210,10 @@ def declared_as_ours(path: Path) -> None:
         if journal_of(path) is not None:
             fold_log(path, locked=True)
         with reading(path) as (db, first):
-            if not first:
-                check_declared(db, TABLES)
+            if not first and declared(db):
                 return
+        if not first:
+            return _bring_up(path)
     except Unsafe as error:
         raise PersemError(f'{path}: {error}; move what lies beside it away') from error
     except PersemError as error:
@@ -220,6 +221,20 @@ def declared_as_ours(path: Path) -> None:
             raise
     whole = load(path)
     save(path, whole.saved, whole.config(), whole.legend)
+
+
+def _bring_up(path: Path) -> None:
+    """Give one of the first files of schema 2 the columns that it lacks, in one transaction."""
+    try:
+        with closing(sqlite3.connect(path, isolation_level=None)) as db:
+            harden(db)
+            # A log can be read by anybody after a kill; a journal could not.
+            db.execute('PRAGMA journal_mode = WAL').fetchall()
+            bring_up(db)
+        fold_log(path, locked=True)
+    except sqlite3.Error as error:
+        raise PersemError(f'{path} cannot be written ({error}); copy it to a disk that has room '
+                          'for it twice') from error
 
 
 def _keep_schema_1(path: Any) -> None:
@@ -316,7 +331,10 @@ def reading(path: Path) -> Iterator[tuple[sqlite3.Connection, bool]]:
         with closing(opened(path, living=True)) as db:
             db.execute('BEGIN')
             first = _schema(db, path) == 1
-            check_tables(db, schema1.NAMES if first else NAMES)
+            if first:
+                check_tables(db, schema1.NAMES)
+            else:
+                check_ours(db)
             yield db, first
     except (sqlite3.Error, sqlite3.Warning, KeyError, TypeError, ValueError, IndexError,
             OverflowError, struct.error) as error:
