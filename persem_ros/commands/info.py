@@ -50,7 +50,7 @@ def _report(bag: str, args: Namespace, config: Config) -> bool:
     from persem_ros.inputs.recording.topics import Choice
     from persem_ros.preflight import contents, contents_text, recorded
     from persem_ros.preflight.files import cut, part
-    from persem_ros.preflight.findings import of_severity, REFUSE
+    from persem_ros.preflight.findings import of_severity, REFUSE, WARN
     from persem_ros.preflight.look import look, takes_of
     from persem_ros.preflight.stamps import usable
     from tqdm import tqdm
@@ -78,5 +78,8 @@ def _report(bag: str, args: Namespace, config: Config) -> bool:
         words += ['--config', args.config] if args.config else []
         words += [word for item in takes_of(found).items() for word in ('--set', '='.join(item))]
         words = excerpt.words() + words
-        print(contents_text.text(source, rows, choice, lacking, found, counts, words), end='')
+        proposed = {k: v for f in of_severity(found, WARN) for k, v in f.proposal.items()}
+        warned = [word for item in proposed.items() for word in ('--set', '='.join(item))]
+        print(contents_text.text(source, rows, choice, lacking, found, counts, words, warned),
+              end='')
     return bool(lacking)

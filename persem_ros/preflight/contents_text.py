@@ -21,7 +21,7 @@ PLAUSIBLE = range(10**17, 10**19)      # ns since 1970 that are dates; others ar
 
 def text(source: Source, rows: Sequence[Row], choice: Choice, lacking: Sequence[str],
          found: Sequence[Finding] = (), counts: Sequence[tuple[int, int]] = (),
-         words: Sequence[str] = ()) -> str:
+         words: Sequence[str] = (), warned: Sequence[str] = ()) -> str:
     """
     Return the report.
 
@@ -37,6 +37,8 @@ def text(source: Source, rows: Sequence[Row], choice: Choice, lacking: Sequence[
         How many label images of each camera a replay would use, and of how many.
     words
         The options of the replay, '--set', 'a=b', ….
+    warned
+        What the warnings propose besides.
 
     Returns
     -------
@@ -67,6 +69,9 @@ def text(source: Source, rows: Sequence[Row], choice: Choice, lacking: Sequence[
     lines += [f'missing: {sentence}' for sentence in lacking]
     lines.append('not usable as it is' if lacking else 'usable: ' + join(
         ['persem', 'replay', str(source.path), '--out', 'DIR', *words]))
+    if warned and not lacking:
+        lines.append('or, where the warnings are right: ' + join(
+            ['persem', 'replay', str(source.path), '--out', 'DIR', *words, *warned]))
     return '\n'.join(lines) + '\n'
 
 

@@ -127,7 +127,7 @@ def _unit(view: View, scale: float) -> float:
 
 def _unfitting(view: View, sample: Sample) -> Iterator[Finding]:
     """Yield why no first depth image goes with its camera info, where both can be read."""
-    assembler, fault, some = Assembler(sample.config), None, False
+    assembler, fault, some, camera = Assembler(sample.config), None, False, None
     for info in view.firsts.get('camera_info', ()):
         with suppress(BadMessage):
             assembler.add_info(info)
@@ -139,10 +139,17 @@ def _unfitting(view: View, sample: Sample) -> Iterator[Finding]:
         except BadMessage:      # said already
             continue
         try:
-            assembler.seen(msg)
+            _, camera = assembler.seen(msg)
             some = True
         except BadMessage as error:
             fault = fault or error
+    if camera is not None and not (0.0 <= camera.K[0, 2] <= camera.width
+                                   and 0.0 <= camera.K[1, 2] <= camera.height):
+        yield Finding(WARN, f'{view.topics["camera_info"]}: the optical axis meets the image at '
+                            f'({camera.K[0, 2]:.4g}, {camera.K[1, 2]:.4g}), outside of the '
+                            f'{camera.width} x {camera.height} pixels of the depth: is K that of '
+                            'another resolution?',
+                      (Remedy({view.setting('camera_info'): 'TOPIC'}, 'names another topic'),))
     if fault and some:
         yield Finding(WARN, f'some images on {view.topics["depth"]} cannot be used with '
                             f'{view.topics["camera_info"]}: {fault}')

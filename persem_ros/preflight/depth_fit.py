@@ -12,7 +12,8 @@ from persem_ros.frames import Camera
 from persem_ros.settings.config import Config, Memory
 
 UNITS = {'millimetres': 0.001, 'centimetres': 0.01}     # metres per unit, of numbers too large
-TRIED = (*FACTORS, 0.25, 0.2, 5.0)  # L515 (0.25 mm), TUM (5000 units a metre), 5 mm units
+# L515 (0.25 mm), TUM (5000 units a metre), half and two millimetres, 5 mm units.
+TRIED = (*FACTORS, 0.25, 0.2, 0.5, 2.0, 5.0)
 FAR = 100.0         # metres: beyond them a depth that is all whole numbers is not in metres
 MOST = 0.5          # share of the measurements that makes a finding
 BASELINES = 0.1, 0.7    # of the depth, the motion that tells most where it is read right or small

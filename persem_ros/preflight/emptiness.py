@@ -66,7 +66,7 @@ class Emptiness:
         if not self._in_range:
             return (f'no pixel was between memory.min_depth {settings.min_depth:g} m and '
                     f'memory.max_depth {settings.max_depth:g} m; depths are {self._low:.4g} to '
-                    f"{self._high:.4g} m: is the depth's unit right{self._other_range()}?")
+                    f"{self._high:.4g} m: is the depth's unit right?{self._other_range()}")
         return ''
 
     def sentence(self) -> str:
@@ -96,11 +96,11 @@ class Emptiness:
         """Return the options with which the depths would be in range."""
         unit = likely_unit(self._low, self._high, self._settings)
         if unit:
-            return f'; {unit} reads them so'
+            return f' {unit[0].upper()}{unit[1:]}'
         if not self._near:
-            return f', or --set memory.max_depth={_up(self._high)}'
+            return f' If so: --set memory.max_depth={_up(self._high)}'
         if self._high < self._settings.min_depth:
-            return f', or --set memory.min_depth={_down(self._low)}'
+            return f' If so: --set memory.min_depth={_down(self._low)}'
         return ''
 
 

@@ -2,9 +2,12 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+import re
 from shlex import quote
 
 REFUSE, WARN, NOTE = 'refuse', 'warn', 'note'
+FLAG = re.compile(r'--set ([a-z_.]+)=(\S*[\w\])])')     # in a sentence
+PLACEHOLDER = re.compile(r'-?[A-Z*]+')       # TOPIC, FILE: to be filled in
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,13 @@ class Finding:
     sentence: str
     remedies: tuple[Remedy, ...] = ()
     takes: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def proposal(self) -> dict[str, str]:
+        """Return the settings of the first remedy, {} where something has to be filled in."""
+        settings = dict(self.remedies[0].settings if self.remedies else
+                        FLAG.findall(self.sentence)[:1])
+        return {} if any(map(PLACEHOLDER.fullmatch, settings.values())) else settings
 
     def text(self, live: bool = False) -> str:
         """Return the sentence with the flags to type."""

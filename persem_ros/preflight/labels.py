@@ -9,7 +9,7 @@ from persem_ros.frames import MAX_ID
 from persem_ros.inputs import fit
 from persem_ros.inputs.assemble import Assembler, is_cloud, other_camera_sentence
 from persem_ros.inputs.decode import clouds, messages
-from persem_ros.inputs.decode.labels import LabelReader, LEGEND
+from persem_ros.inputs.decode.labels import LabelReader, LEGEND, NEAREST
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.intake import SAME
 from persem_ros.preflight.findings import Finding, NOTE, REFUSE, Remedy, WARN
@@ -19,7 +19,7 @@ from persem_ros.settings.legend import Legend
 
 SOME = 0.01     # share of pixels whose id is no class
 FEW, MANY = 8, 100      # different ids
-ODD = 0.5       # share of pixels in colours that are none of the legend's: no labels at all
+ODD = 0.5       # share of pixels whose id is no class: no labels at all
 
 
 def check(sample: Sample) -> Iterator[Finding]:
@@ -44,13 +44,13 @@ def _view(view: View, config: Config, legend: Legend | None) -> Iterator[Finding
             f'{view.topics["labels"]} has no message that can be read'
         yield Finding(REFUSE, what)
         return
-    if reader.channel == LEGEND and reader.off > ODD * reader.pixels:
+    if reader.channel == LEGEND and reader.off > (1 - NEAREST) * reader.pixels:
         yield Finding(REFUSE, f'{100 * reader.off / reader.pixels:.0f} % of the pixels on '
                               f"{view.topics['labels']} have a colour that is none of the "
                               "legend's: another topic, or another legend (labels.legend)?")
     elif reader.note:
         yield Finding(WARN if reader.off else NOTE, reader.note)
-    yield from _ids(np.concatenate([ids.ravel() for ids in seen]), view, config)
+    yield from _ids(np.concatenate([ids.ravel() for ids in seen]), view, config, legend)
     other = _other_camera(view)
     if other:
         yield from other
@@ -69,7 +69,8 @@ def _view(view: View, config: Config, legend: Legend | None) -> Iterator[Finding
         return
 
 
-def _ids(ids: NDArray[np.int32], view: View, config: Config) -> Iterator[Finding]:
+def _ids(ids: NDArray[np.int32], view: View, config: Config,
+         legend: Legend | None) -> Iterator[Finding]:
     """Yield what the ids of some label images look like, if not like classes."""
     topic = view.topics['labels']
     large = float(np.mean(ids > MAX_ID))
@@ -81,8 +82,12 @@ def _ids(ids: NDArray[np.int32], view: View, config: Config) -> Iterator[Finding
                       f'{100 * large:.0f} % of the ids on {topic} are above {MAX_ID}, which is '
                       'no class', instances)
     elif len(found) > FEW and found[0] >= 1000 and len(np.unique(found // 1000)) < len(found) / 2:
-        yield Finding(WARN, f'there are {len(found)} ids on {topic}, {found[0]} to {found[-1]}, '
-                            'as if they were of instances', instances)
+        surely = legend is not None and not np.isin(found, legend.ids).any() and \
+            np.isin(found // 1000, legend.ids).all()
+        yield Finding(REFUSE if surely else WARN,
+                      f'there are {len(found)} ids on {topic}, {found[0]} to {found[-1]}, '
+                      'as if they were of instances' + (
+                          ', and none of them is in the legend' if surely else ''), instances)
     elif len(found) > MANY and found[-1] <= 255:
         yield Finding(WARN, f'there are {len(found)} ids in a few images on {topic}: is it a grey '
                             'image?', (Remedy({view.setting('labels'): 'TOPIC'},

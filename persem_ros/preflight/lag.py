@@ -98,6 +98,8 @@ def _view(view: View, sample: Sample) -> Iterator[Finding]:
     if fine or exact >= max(FEW * now, 1):
         if now == len(labels) and exact == 0:
             yield from _constant(off, depth, offset)
+        yield from _loose(off, depth, tolerance)
+        yield from _at_the_end(labels, depth, offset, (best, count), now, possible)
         return
     severity = WARN if now >= FEW * possible else REFUSE
     low, middle, high = (x / 1e6 for x in np.percentile(off, (5, 50, 95)))
@@ -140,6 +142,38 @@ def _constant(off: NDArray[np.int64], depth: Stamps, offset: int) -> Iterator[Fi
                           f'whole periods of the depth ({period / 1e6:.0f} ms) later'),))
 
 
+def _loose(off: NDArray[np.int64], depth: Stamps, tolerance: int) -> Iterator[Finding]:
+    """Yield that labels lie anywhere between the depth images, and the tolerance takes all."""
+    period = int(np.median(np.diff(depth)))
+    low, high = (int(x) for x in np.percentile(off, (5, 95)))
+    if 2 * tolerance < FINE * period or high - low < FEW * period or high - low < 2 * EXACT:
+        return
+    yield Finding(WARN, f'label images are {low / 1e6:.0f} to {high / 1e6:.0f} ms from the '
+                        'nearest depth image, as if their stamps had nothing to do with it: of '
+                        f'depth every {period / 1e6:.0f} ms, sync.tolerance ('
+                        f'{tolerance / 1e6:g} ms) takes any; if labels are stamped when the '
+                        'network was done, they lie on later images than they were made of, and '
+                        'whoever publishes them has to keep the stamp of the image',
+                  (Remedy({'sync.offset_labels': '-SECONDS'},
+                          'takes off what the network needs, where that is known'),))
+
+
+def _at_the_end(labels: Stamps, depth: Stamps, offset: int, best: tuple[int, int], now: int,
+                possible: int) -> Iterator[Finding]:
+    """Yield that whole periods of lag explain the last label images, too."""
+    lag, count = best
+    period = int(np.median(np.diff(depth)))
+    if count <= now or count < possible or labels[-1] <= depth[-1] or not SOON < lag <= LONGEST:
+        return
+    after = int(np.count_nonzero(labels > depth[-1]))
+    yield Finding(WARN, f'{after} label image{"s come" if after > 1 else " comes"} after the last '
+                        f'depth image, and all {count} have one {lag / 1e6:.0f} ms earlier '
+                        f'(depth comes every {period / 1e6:.0f} ms): the recording ended so, or '
+                        'labels are stamped when the network was done',
+                  (Remedy({'sync.offset_labels': f'{(offset - lag) / 1e9:.3f}'},
+                          'in the second case'),))
+
+
 def _advice(said: str, labels: Stamps, depth: Stamps, offset: int, best: tuple[int, int],
             possible: int, tolerance: int) -> tuple[str, tuple[Remedy, ...]]:
     """Return the sentence and what to type, by what explains the stamps."""
@@ -150,18 +184,25 @@ def _advice(said: str, labels: Stamps, depth: Stamps, offset: int, best: tuple[i
                     for other in found)
         lag = lags(labels, depth, round(least) + EXACT)[0][0]
     value = f'{(offset - lag) / 1e9:.3f}'
+    period = float(np.median(np.diff(depth))) / 1e9
     if count >= FITS * possible:
+        # Beside depth that comes faster than labels, a lag of whole periods more fits as well.
+        more = sum(other > lag and fitting >= count - 1
+                   for other, fitting in lags(labels, depth, tolerance)) > 1
         return (f'{said}; {count} fit a depth image {lag / 1e6:.0f} ms '
                 f'{"earlier" if lag >= 0 else "later"}, as if they were stamped when '
                 f'{"the network was done" if abs(lag) <= LONGEST else "a recording was played"}',
-                (Remedy({'sync.offset_labels': value}),))
+                (Remedy({'sync.offset_labels': value},
+                        f'or whole periods of the depth ({1e3 * period:.0f} ms) less, by what '
+                        'the network needs: stamps cannot tell which' if more else ''),))
     rest = np.abs(distances(labels - lag, depth))
     wide = 1.1 * float(np.percentile(rest, 95)) / 1e9
-    period = float(np.median(np.diff(depth))) / 1e9
     if wide < 0.5 * period:
         return (f'{said}; {lag / 1e6:.0f} ms {"earlier" if lag >= 0 else "later"} they '
-                f'fit, give or take {1e3 * wide:.0f} ms',
-                (Remedy({'sync.offset_labels': value, 'sync.tolerance': _up(wide)}),))
+                f'fit, give or take {1e3 * wide:.0f} ms: whoever publishes them had better keep '
+                'the stamp of the image, for a frame is placed by the stamp of its labels',
+                (Remedy({'sync.offset_labels': value, 'sync.tolerance': _up(wide)},
+                        f'maps them all, each by a pose up to {1e3 * wide:.0f} ms off'),))
     return (f'{said}, and no constant lag explains it: whoever publishes the label images has to '
             'keep the stamp of the image that they were made of',
             (Remedy({'sync.tolerance': _up(float(np.percentile(np.abs(

@@ -10,7 +10,7 @@ from persem_ros.core.transforms import inverse
 from persem_ros.inputs.decode import messages
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.sync.poses import NO_MOUNT
-from persem_ros.inputs.sync.track import SLACK
+from persem_ros.inputs.sync.track import SLACK, Track
 from persem_ros.preflight.depth import is_cloud_of
 from persem_ros.preflight.findings import Finding, NOTE, REFUSE, Remedy, WARN
 from persem_ros.preflight.sample import Sample, Shot, View
@@ -24,6 +24,8 @@ VISIBLE = 0.01          # relative depth error below which what was said is not 
 LEAST = 50              # pixels that have to be compared
 JUMPED = 20.0           # times the usual speed, that are called a jump …
 BY = 1.0                # m … of this at least
+ALONE = 3.0             # times the usual speed there and back, that a single pose is off by
+ASIDE, TOGETHER = 20.0, 10.0    # degrees there and back, between neighbours that go together
 Move = tuple[int, int]
 
 
@@ -192,7 +194,14 @@ def _jumps(view: View, sample: Sample) -> Iterator[Finding]:
     limit = sample.config.pose.max_speed
     impossible = steps - SLACK > limit * seconds        # as sync.track has it
     usual = float(np.median(speeds))
-    odd = (speeds > JUMPED * max(usual, 0.1)) & (steps > BY) & ~impossible
+    odd = (speeds > JUMPED * max(usual, 0.1)) & (steps > BY)
+    there = steps > ALONE * usual * seconds + BY
+    ends = np.array([T[:3, 3] for T in track.transforms])
+    alone = there[:-1] & there[1:] & (np.hypot.reduce(ends[2:] - ends[:-2], axis=1)
+                                      <= ALONE * usual * (seconds[:-1] + seconds[1:]) + BY)
+    odd[:-1] |= alone
+    odd[1:] |= alone
+    odd &= ~impossible
     for which, what in ((impossible, 'nothing is interpolated across'),
                         (odd, 'taken as they are')):
         if not which.any():
@@ -204,5 +213,20 @@ def _jumps(view: View, sample: Sample) -> Iterator[Finding]:
                             f'{what}; topics.trajectory takes corrected poses', (Remedy(
                                 {'pose.max_speed': f'{1.2 * speeds[worst]:.3g}'},
                                 'if they are right') if which is impossible else Remedy(
-                                {'pose.max_speed': f'{0.8 * speeds[worst]:.3g}'},
+                                {'pose.max_speed': f'{0.8 * speeds[odd].min():.3g}'},
                                 'does not interpolate across them'),))
+    yield from _turned_alone(track)
+
+
+def _turned_alone(track: Track) -> Iterator[Finding]:
+    """Yield where single poses look elsewhere than those before and after."""
+    R = np.array([T[:3, :3] for T in track.transforms])
+    one, two = (np.degrees(np.arccos(np.clip((np.einsum('nij,nij->n', R[k:], R[:-k]) - 1) / 2,
+                                             -1, 1))) for k in (1, 2))
+    alone = (one[:-1] > ASIDE) & (one[1:] > ASIDE) & (two < TOGETHER)
+    if alone.any():
+        first = int(np.argmax(alone))
+        yield Finding(WARN, f'{int(alone.sum())} of {len(R)} poses look elsewhere than their '
+                            f'neighbours, the first at {track.stamps[first + 1] / 1e9:.3f} s by '
+                            f'{one[first]:.0f} degrees: what is seen near them lands in wrong '
+                            'places')

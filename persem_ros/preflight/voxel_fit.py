@@ -64,9 +64,10 @@ class VoxelFit:
         if seen < SEEN and len(self._depths) >= FRAMES:
             proposal = _rounded(max(ENOUGH * footprint, 2 * size))
             yield (f'hardly any voxel was seen twice: {seen:.1f} observations per voxel in '
-                   f'{len(self._depths)} frames, so there is nothing to refine; larger voxels '
-                   f'are seen more often, for example --set memory.voxel_size={proposal}; if '
-                   'that does not help, are the poses right?')
+                   f'{len(self._depths)} frames, so there is nothing to refine; are poses '
+                   '(pose.child_frame), camera info (topics.camera_info) and depth (depth.scale, '
+                   'depth.kind) right? If so, larger voxels are seen more often, for example '
+                   f'--set memory.voxel_size={proposal}')
 
 
 def _rounded(metres: float) -> str:

@@ -42,7 +42,8 @@ def test_metres_along_the_axis_pass(depth):
 @pytest.mark.parametrize('factor, unit, flag', [
     (1000.0, 1.0, 'depth.scale=0.001'), (100.0, 1.0, 'depth.scale=0.01'),
     (4.0, 0.001, 'depth.scale=0.00025'), (0.1, 0.001, 'depth.scale=0.01'),
-    (5.0, 0.001, 'depth.scale=0.0002')])
+    (5.0, 0.001, 'depth.scale=0.0002'), (2.0, 0.001, 'depth.scale=0.0005'),
+    (0.5, 0.001, 'depth.scale=0.002')])
 def test_a_unit_with_which_frames_agree_is_proposed(factor, unit, flag):
     sentence, = said(hills, factor, unit=unit)
     assert sentence.endswith(f'--set {flag}') and 'nowhere' in sentence or '%' in sentence

@@ -1,6 +1,7 @@
 """Which frame is which: what replay and info find out by themselves, refuse, or say."""
 
 from contextlib import closing
+import re
 
 import bags
 import numpy as np
@@ -245,6 +246,32 @@ def test_one_wild_pose_costs_one_frame(tmp_path, x):
     frames, recording = looked(tmp_path / 'bag')
     assert len(frames) == 11 and sum(recording.dropped.values()) == 1
     assert inverse(frames[6].T_map_camera)[0, 3] == pytest.approx(-0.8)
+
+
+def aside(T):
+    T[0, 3] += 3.0
+
+
+def elsewhere(T):
+    T[:3, :3] = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]) @ T[:3, :3]
+
+
+@pytest.mark.parametrize('wrong, words', [
+    (aside, 'the poses jump 2 times, by up to 3.'), (elsewhere, '1 of 12 poses look elsewhere')])
+def test_one_pose_that_is_a_little_wild_is_said(tmp_path, caplog, wrong, words):
+    with RecordingWriter(tmp_path / 'bag') as out:
+        for i in range(12):
+            T = straight(3 * i) @ DOWN
+            images(out, i, T)
+            if i == 6:
+                wrong(T)
+            out.pose('pose', bags.stamp(i), 'map', T)
+    looked(tmp_path / 'bag')
+    assert words in caplog.text
+    if wrong is aside:
+        speed = float(re.search(r'pose.max_speed=(\S+) does not', caplog.text)[1])
+        frames, recording = looked(tmp_path / 'bag', pose__max_speed=speed)
+        assert len(frames) == 11 and sum(recording.dropped.values()) == 1
 
 
 @pytest.mark.parametrize('where', ['tf', 'tf_static'])

@@ -45,6 +45,20 @@ def test_the_table(tmp_path, capsys, storage):
     assert report(capsys, tmp_path / 'bag', '--set', 'topics.pose=odometry')[0] == 0
 
 
+def test_what_warnings_propose_is_printed_as_a_command(tmp_path, capsys):
+    with RecordingWriter(tmp_path / 'bag') as out:
+        for i in range(5):
+            bags.write_images(out, i)
+            out.pose('pose', bags.stamp(i), 'map', bags.pose(i))
+            out.image('large', bags.stamp(i), 'camera', 1000 * bags.labels(i) + np.arange(
+                16, dtype='u2'), 'mono16')
+    status, out = report(capsys, tmp_path / 'bag', '--set', 'topics.labels=/large')
+    command = f'persem replay {tmp_path / "bag"} --out DIR --set topics.labels=/large'
+    assert status == 0 and out.splitlines()[-2:] == [
+        f'usable: {command}',
+        f'or, where the warnings are right: {command} --set labels.divisor=1000']
+
+
 def test_images_that_begin_late_are_described(tmp_path, capsys):
     with RecordingWriter(tmp_path / 'bag') as out:
         for i in range(2500):

@@ -1,6 +1,7 @@
 """Stamps: labels stamped late, zero stamps, clocks apart, slow poses; the distances are said."""
 
 from contextlib import closing
+import re
 
 import bags
 from hypothesis import given, strategies as st
@@ -78,6 +79,30 @@ def test_stamps_that_fit_are_not_spoken_of(tmp_path, caplog, options):
     written(tmp_path / 'bag', **options)
     looked(tmp_path / 'bag')
     assert not caplog.text
+
+
+def test_a_lag_that_is_ambiguous_by_the_period_of_depth_is_said_so(tmp_path, caplog):
+    path = written(tmp_path / 'bag', lambda i: bags.stamp(i) + 440 * MS, every=3, n=60)
+    text = refusal(path)
+    assert re.search(r'sync.offset_labels=-0\.\d40 or whole periods of the depth \(100 ms\) less',
+                     text)
+    looked(path, sync__offset_labels=-0.44)
+    assert not caplog.text
+
+
+def test_labels_anywhere_between_images_are_doubted_however_large_the_tolerance(tmp_path, caplog):
+    path = written(tmp_path / 'bag', lambda i: bags.stamp(i) + (200 + 37 * i % 100) * MS, every=3,
+                   n=60)
+    looked(path, sync__tolerance=0.05)
+    assert 'as if their stamps had nothing to do with it' in caplog.text
+    assert '--set sync.offset_labels=-SECONDS' in caplog.text
+
+
+def test_labels_after_the_last_depth_may_be_late_by_whole_periods(tmp_path, caplog):
+    path = written(tmp_path / 'bag', lambda i: bags.stamp(i + 1), n=40)
+    looked(path)
+    assert '1 label image comes after the last depth image, and all 40' in caplog.text
+    assert '--set sync.offset_labels=-0.100 in the second case' in caplog.text
 
 
 @given(st.integers(-90, 900), st.integers(1, 4), st.integers(0, 8))

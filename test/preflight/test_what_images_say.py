@@ -122,6 +122,40 @@ def test_ids_of_instances_are_recognised(tmp_path, caplog, factor, refused):
     assert not caplog.text
 
 
+def test_ids_that_are_classes_only_when_divided_are_refused(tmp_path, caplog):
+    path = written(tmp_path / 'bag', lambda i: bags.labels(i) * 1000 + np.arange(16, dtype='u2'))
+    with pytest.raises(PersemError, match='none of them is in the legend: --set labels.divisor'):
+        looked(path, labels__legend='town')
+    looked(path, labels__legend='town', labels__divisor=1000)
+    assert not caplog.text
+
+
+def test_ids_in_one_channel_beside_numbers_of_instances_are_told_from_colours(tmp_path):
+    def labels(i):
+        ids = bags.labels(i).astype('u1')
+        return np.stack([ids, 40 + 3 * ids, np.arange(16, dtype='u1') + 0 * ids], -1)
+
+    path = written(tmp_path / 'bag', labels, encodings=('rgb8', '32FC1'))
+    with pytest.raises(PersemError, match='channel r holds ids .*--set labels.channel=r') as said:
+        looked(path, labels__legend='town')
+    assert 'labels.channel=legend' not in str(said.value)
+    assert looked(path, labels__legend='town', labels__channel='r').labels.max() == 4
+
+
+def test_an_axis_that_misses_the_image_is_said(tmp_path, caplog):
+    with RecordingWriter(tmp_path / 'bag') as out:
+        for i in range(5):
+            bags.write_images(out, i)
+            out.pose('pose', bags.stamp(i), 'map', bags.pose(i))
+            out.camera_info('other/camera_info', bags.stamp(i), 'camera', 16, 12,
+                            np.diag([4.0, 4.0, 1.0]) @ bags.K)
+    looked(tmp_path / 'bag', topics__camera_info='/other/camera_info')
+    assert '/other/camera_info: the optical axis' in caplog.text and '=TOPIC' in caplog.text
+    caplog.clear()
+    looked(tmp_path / 'bag')
+    assert 'optical axis' not in caplog.text
+
+
 def test_a_mask_of_0_and_255_is_recognised(tmp_path, caplog):
     path = written(tmp_path / 'bag', lambda i: np.where(bags.labels(i) > 2, 255, 0).astype('u1'),
                    encodings=('mono8', '32FC1'))

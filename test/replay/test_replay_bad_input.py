@@ -244,7 +244,7 @@ def sweep_of(path, frames, step, scale=1.0):
             pose[0, 3] = step * i
             out.pose('pose', bags.stamp(i), 'map', pose)
             out.camera_info('depth/camera_info', bags.stamp(i), 'camera', bags.WIDTH,
-                            bags.HEIGHT, np.diag([scale, scale, 1.0]) @ bags.K)
+                            bags.HEIGHT, bags.K * [[scale, 1, 1], [1, scale, 1], [1, 1, 1]])
             out.image('depth/image', bags.stamp(i), 'camera', bags.depth(0), '32FC1')
             out.image('semantic/image', bags.stamp(i), 'camera', bags.labels(i), 'mono16')
     return path

@@ -15,6 +15,7 @@ from persem_ros.settings.legend import Legend, load_legend, shipped_legends
 CHANNELS = 'rgba'
 LEGEND = 'legend'
 FITS = 0.9              # share of a legend's own colours that makes it the one that was meant
+NEAREST = 0.5           # … from which on the nearest ones may be meant by the others
 SHOWN = 4               # colours in a sentence
 OFF = 1 << 15           # in the table of colours: this one is none of the legend's
 
@@ -219,14 +220,19 @@ def _other_colours(planes: NDArray[np.uint8], palette: Palette, legend: Legend) 
     share = palette.share(planes)
     swapped = palette.share(planes[..., [2, 1, 0]]) >= FITS
     other = shipped(planes)
+    alone = [CHANNELS[i] for i in range(3)
+             if planes[..., i].any() and np.isin(planes[..., i], legend.ids).all()]
     return (f'{100 * share:.2g} % of the pixels have a colour of the legend: the most frequent of '
             f'{len(values)} colours are {seen}, the legend has {own}'
             f'{", …" if len(legend.classes) > SHOWN else ""}'
             + ('; with red and blue in the other order they fit, so the encoding is the other '
                'one of rgb8 and bgr8: whoever publishes them has to say so' if swapped else
                f'; they are those of --set labels.legend={other}' if other else
-               '; give the legend with these colours by --set labels.legend=FILE, or take the '
-               'nearest ones by --set labels.channel=legend'))
+               f'; channel {alone[0]} holds ids of the legend alone: --set '
+               f'labels.channel={alone[0]}' if alone else
+               '; give the legend with these colours by --set labels.legend=FILE'
+               + (', or take the nearest ones by --set labels.channel=legend'
+                  if share >= NEAREST else '')))
 
 
 @cached
