@@ -9,7 +9,8 @@ from persem_ros.settings.config import Config
 from persem_ros.simulate.flight import Flight, Plan
 
 SIZE = 640, 480
-CLASSES = 16
+LARGE = 2448, 2048      # of a survey camera
+CLASSES, MANY = 16, 150
 
 
 def flight(frames, rate):
@@ -17,16 +18,33 @@ def flight(frames, rate):
     return Plan(frames=frames, width=SIZE[0], height=SIZE[1], rate=rate)
 
 
+def large(frames):
+    """Return a Plan of the same view through a survey camera."""
+    return Plan(frames=frames, width=LARGE[0], height=LARGE[1], rate=3.0)
+
+
 def frames(plan):
     """Yield the flight's frames with 16 classes: every class is split in two by 40 m squares."""
     for frame in Flight(plan, workers=1).frames():
-        points = backprojected(frame, Config().memory)
-        where = points @ frame.T_map_camera[:3, :3].T + frame.T_map_camera[:3, 3]
-        with np.errstate(invalid='ignore'):
-            odd = (np.floor(where[:, 0] / 40) + np.floor(where[:, 1] / 40)) % 2 == 1
-        labels = frame.labels % (CLASSES // 2) + CLASSES // 2 * odd.reshape(frame.labels.shape)
+        i, j = squares(frame, 40.0)
+        labels = frame.labels % (CLASSES // 2) + CLASSES // 2 * ((i + j) % 2 == 1)
         yield replace(frame, labels=np.where(frame.labels >= 0, labels, -1).astype(np.int32),
                       color=None, truth=None)
+
+
+def with_many(frame):
+    """Return one of these frames with up to 150 classes: 20 m squares split each anew."""
+    i, j = squares(frame, 20.0)
+    labels = (frame.labels + CLASSES * ((7 * i + 5 * j) % 12)) % MANY
+    return replace(frame, labels=np.where(frame.labels >= 0, labels, -1).astype(np.int32))
+
+
+def squares(frame, size):
+    """Return the indices i, j, each (h, w) int64, of the squares of *size* m that pixels show."""
+    points = backprojected(frame, Config().memory)
+    where = points @ frame.T_map_camera[:3, :3].T + frame.T_map_camera[:3, 3]
+    index = np.floor(np.nan_to_num(where[:, :2]) / size).astype(np.int64)
+    return (column.reshape(frame.labels.shape) for column in index.T)
 
 
 def fill(memory, voxels, at=100_000):

@@ -248,7 +248,14 @@ def mask_truth(truth, table, valid, classes):
 @kernel
 def count_valid(valid, had, codes, pairs, pixels, n_pairs):
     """Write pairs = valid & had, (n,) bool, and add the numbers of both by region code."""
+    code, own, both = np.uint8(0), 0, 0     # of like ones in a row, which most are
     for i in range(len(valid)):
-        pairs[i] = valid[i] and had[i]
-        pixels[codes[i]] += valid[i]
-        n_pairs[codes[i]] += pairs[i]
+        if codes[i] != code:
+            pixels[code] += own
+            n_pairs[code] += both
+            code, own, both = codes[i], 0, 0
+        pairs[i] = valid[i] & had[i]
+        own += valid[i]
+        both += pairs[i]
+    pixels[code] += own
+    n_pairs[code] += both

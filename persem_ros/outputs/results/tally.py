@@ -129,19 +129,28 @@ def count_image(start, labels, classes, codes, pairs, before, table, keys, count
 
     """
     last, place = FREE, np.uint64(0)        # of the pixel before: nine in ten are like it
+    code, alike, other = np.uint8(0), 0, 0      # so that it pays to add up like ones first
     for i in range(start, len(labels)):
         inside = np.uint32(labels[i]) < UNKNOWN
         c = np.uint64(table[labels[i]] if inside else np.uint16(UNKNOWN))
+        if codes[i] != code:
+            counts[place, code] += alike
+            changed[code] += other
+            code, alike, other = codes[i], 0, 0
         if classes[i] != UNKNOWN:
             key = np.uint64(classes[i]) << np.uint64(16) | c
             if key != last:
-                last, place = key, place_of(keys, key)
+                counts[place, code] += alike
+                last, place, alike = key, place_of(keys, key), 0
                 if keys[place] == FREE:
                     if 2 * used[0] >= len(keys):
+                        changed[code] += other
                         return i
                     keys[place] = key
                     used[0] += 1
-            counts[place, codes[i]] += 1
-        changed[codes[i]] += pairs[i] & (c != before[i])
+            alike += 1
+        other += pairs[i] & (c != before[i])
         before[i] = c
+    counts[place, code] += alike
+    changed[code] += other
     return len(labels)
