@@ -135,6 +135,21 @@ def test_pdal_reads_every_field(town, option, name):
         assert '32632' in meta['srs']['wkt'] and meta['minor_version'] == 4
 
 
+def test_pdal_makes_a_copc_of_the_laz(town, tmp_path):
+    """As docs/exports.md says."""
+    pdal = program('pdal')
+    laspy = pytest.importorskip('laspy', reason='needs the extra gis')
+    pytest.importorskip('lazrs', reason='needs the extra gis')
+    pytest.importorskip('pyproj', reason='needs the extra gis')
+    laz = exported(town[0], '--laz', 'a.laz')
+    said(pdal, 'translate', laz, tmp_path / 'a.copc.laz', '--readers.las.use_eb_vlr=true',
+         '--writers.copc.forward=all')
+    with laspy.CopcReader.open(tmp_path / 'a.copc.laz') as reader:
+        points = reader.query()
+    same({name: points[name] for name in OURS},
+         np.stack([points.x, points.y, points.z], axis=1), town[1])
+
+
 def test_gdal_reads_colours_names_and_bands(town):
     gdalinfo = program('gdalinfo')
     pytest.importorskip('rasterio', reason='needs the extra gis')
