@@ -124,16 +124,19 @@ def markers(memory: VoxelMemory, voxel: NDArray[np.int32], legend: Any, head: An
     centre = (voxel + 0.5) * size
     eyes = memory.frames.placed[frames, :3, 3] - origin
     ends = (voxel + (offsets + 0.5) / 256) * size
+    # Who looks at the map stands as far away as the sensor did: a share of that is to be seen.
+    away = float(np.median(np.linalg.norm(eyes - ends, axis=1))) if len(eyes) else 0.0
     cube = _marker(head, 0, Marker.CUBE, [1.1 * size] * 3, _color(legend, label, 0.8), centre)
-    text = _marker(head, 1, Marker.TEXT_VIEW_FACING, [0.0, 0.0, max(0.2, size)],
-                   ColorRGBA(r=1.0, g=1.0, b=1.0, a=1.0), centre + [0.0, 0.0, 1.5 * size])
+    text = _marker(head, 1, Marker.TEXT_VIEW_FACING, [0.0, 0.0, max(size, 0.04 * away)],
+                   ColorRGBA(r=1.0, g=1.0, b=1.0, a=1.0),
+                   centre + [0.0, 0.0, size + 0.03 * away])
     n = int(memory.m.voxels[memory.number(voxel)]['n'])
     text.text = f'{names(legend)(label)}, {n} observations'
-    rays = _marker(head, 2, Marker.LINE_LIST, [0.05 * size + 0.005, 0.0, 0.0],
+    rays = _marker(head, 2, Marker.LINE_LIST, [max(0.05 * size, 0.004 * away), 0.0, 0.0],
                    ColorRGBA(a=1.0), None)
     for c, eye, end in zip(labels.tolist(), eyes, ends):
         rays.points += [_point(eye), _point(end)]
-        rays.colors += [_color(legend, c, 0.6)] * 2
+        rays.colors += [_color(legend, c, 1.0)] * 2
     return [cube, text, rays]
 
 
