@@ -1,5 +1,5 @@
 """
-What persem map view costs in Chromium without a GPU: seconds, bytes, memory, pictures.
+What persem map view costs in Chromium without a GPU: seconds, bytes, memory, frames, pictures.
 
 benchmarks/view.py [--voxels N,N] [--map FILE] [--pictures FOLDER] makes flat maps of N voxels (or
 takes a file), opens them in a new browser at 1280 x 800 and prints a row each; pictures are taken
@@ -12,6 +12,7 @@ import base64
 import contextlib
 import itertools
 import json
+import math
 import os
 from pathlib import Path
 import shutil
@@ -29,6 +30,16 @@ from scenes import fill
 FLAGS = ('--headless', '--no-sandbox', '--use-gl=angle', '--use-angle=swiftshader',
          '--enable-unsafe-swiftshader', '--remote-debugging-pipe', '--no-first-run')
 SIZES = ((1280, 800), (420, 800))
+TURN = 6.0              # s for which the map is turned, to count frames
+# Every frame on the screen begins with one of these.
+COUNT = """
+window.framesDrawn = 0;
+const clear = WebGL2RenderingContext.prototype.clear;
+WebGL2RenderingContext.prototype.clear = function (bits) {
+  if (!this.getParameter(this.FRAMEBUFFER_BINDING)) window.framesDrawn += 1;
+  return clear.call(this, bits);
+};
+"""
 READY = "document.body.dataset.ready || document.querySelector('#note.alone') ? 1 : 0"
 
 
@@ -53,6 +64,7 @@ class Browser:
                                 flatten=True)['sessionId']
         for domain in ('Page', 'Network', 'Runtime'):
             self.ask(f'{domain}.enable')
+        self.ask('Page.addScriptToEvaluateOnNewDocument', source=COUNT)
 
     def ask(self, method, session='own', **parameters):
         """Return the answer to a command; count what was loaded meanwhile."""
@@ -94,6 +106,19 @@ class Browser:
         """Click at a place of the page."""
         for kind in ('mousePressed', 'mouseReleased'):
             self.ask('Input.dispatchMouseEvent', type=kind, x=x, y=y, button='left', clickCount=1)
+
+    def turned(self, x, y):
+        """Drag at a place for TURN seconds; return the frames a second meanwhile."""
+        def mouse(kind, at, button):
+            self.ask('Input.dispatchMouseEvent', type=kind, x=at, y=y, button='left',
+                     buttons=button, clickCount=1)
+        mouse('mousePressed', x, 1)
+        start, before = time.monotonic(), self.value('window.framesDrawn')
+        while (now := time.monotonic() - start) < TURN:
+            mouse('mouseMoved', round(x + 0.3 * x * math.sin(now)), 1)
+        frames = self.value('window.framesDrawn') - before
+        mouse('mouseReleased', x, 0)
+        return frames / (time.monotonic() - start)
 
     def picture(self, path):
         """Write what is to be seen as a PNG."""
@@ -149,6 +174,7 @@ def measured(path, pictures):
                    'loopback_mb': browser.bytes / 1e6,
                    'points': int(browser.value('document.body.dataset.points') or 0),
                    'tab_mb': sum(browser.memory().values()), **browser.memory()}
+            row['frames_a_second'] = browser.turned(SIZES[0][0] * 0.6, SIZES[0][1] * 0.55)
             status = Path(f'/proc/{server.pid}/status').read_text()
             row['server_mb'] = int(status.partition('VmHWM:')[2].split()[0]) / 1e3
             for width, height in SIZES if pictures else ():

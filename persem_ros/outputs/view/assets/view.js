@@ -4,8 +4,12 @@
 (() => {
   const byId = id => document.getElementById(id);
   const canvas = byId('map'), note = byId('note'), PERIOD = 2000, PAUSE = 400, PIXELS = 2, OBSERVED = 16;
+  // While the view moves and a frame takes longer than SLOW ms, as without a GPU, a quarter of the
+  // pixels is drawn, of tiles COARSE times as coarse; REST ms after the last move all is sharp again.
+  const SLOW = 80, COARSE = 2, REST = 350;
   let info, renderer, camera, controls, scene, uniforms, material, marks, paths;
   let shown = null, next = null, newest = null, waiting = false, fresh = false, drawn = 0, later = 0;
+  let moving = false, coarse = false, resting = 0;
 
   function alone(text) {
     note.textContent = text;
@@ -43,7 +47,7 @@
       return false;
     }
     renderer.outputColorSpace = 'srgb-linear';
-    renderer.setPixelRatio(Math.min(devicePixelRatio || 1, 1.5));
+    renderer.setPixelRatio(sharpness());
     const most = OBSERVED * Math.log2(Math.max(2, info.frames));
     uniforms = {
       turn: {value: new TILES.Matrix3()}, pixels: {value: 1}, reach: {value: 1},
@@ -67,9 +71,18 @@
     controls.screenSpacePanning = false;
     controls.listenToKeyEvents(canvas);
     controls.addEventListener('change', draw);
+    controls.addEventListener('start', () => { moving = true; clearTimeout(resting); });
+    controls.addEventListener('end', () => { clearTimeout(resting); resting = setTimeout(rest, REST); });
     new ResizeObserver(draw).observe(canvas);
     canvas.addEventListener('webglcontextrestored', draw);
     return true;
+  }
+
+  const sharpness = () => Math.min(devicePixelRatio || 1, 1.5) * (coarse ? 0.5 : 1);
+
+  function rest() {
+    moving = false;
+    if (coarse) draw();
   }
 
   // Tiles of one state of the map; the material of what is loaded is ours.
@@ -102,7 +115,8 @@
   function fit() {
     const width = canvas.clientWidth, height = canvas.clientHeight;
     if (!width || !height) return false;
-    const ratio = renderer.getPixelRatio();
+    const ratio = sharpness();
+    if (ratio !== renderer.getPixelRatio()) renderer.setPixelRatio(ratio);
     if (canvas.width !== Math.floor(width * ratio) ||
         canvas.height !== Math.floor(height * ratio)) {
       renderer.setSize(width, height, false);
@@ -126,11 +140,14 @@
   function update() {
     if (waiting) return;
     waiting = true;
+    const asked = performance.now();
     requestAnimationFrame(() => {
       waiting = false;
+      coarse = moving && (coarse || performance.now() - asked > SLOW);
       if (!fit()) return;
       for (const tiles of [shown, next]) {
         if (!tiles) continue;
+        tiles.errorTarget = coarse ? COARSE * PIXELS : PIXELS;
         tiles.setResolutionFromRenderer(camera, renderer);
         tiles.group.updateMatrixWorld();
         tiles.update();
