@@ -104,8 +104,9 @@ class Pipeline:
     def _placed(self, frame: Frame, offsets: NDArray[np.int32] | None = None
                 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the voxels of the frame's pixels."""
-        return images.placed(frame, self.config.memory, self.memory.voxel_size,
-                             self.memory.origin, offsets)
+        x, y, z = self.memory.origin
+        return images.placed(frame, self.config.memory, self.memory.voxel_size, (x, y, z),
+                             offsets)
 
     @property
     def unknown(self) -> int:

@@ -236,8 +236,9 @@ class Replay:
             memory = self.pipeline.memory
             self.points = map_points(memory.voxels(), memory.voxel_size, self.legend)
             write_text(self.folder / 'config.yaml', config_file.to_yaml(self.config))
+            x, y, z = memory.origin
             write_ply(self.folder / 'map.ply', self.points, map_comments(
-                self.config.frames.map, memory.origin, memory.voxel_size))
+                self.config.frames.map, (x, y, z), memory.voxel_size))
             store.save(self.folder / 'map.persem', memory, self.config, self.legend)
 
     def _finish(self) -> dict[str, Any]:

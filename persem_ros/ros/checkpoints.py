@@ -1,11 +1,18 @@
 """Checkpoints of an attached map: copied between frames, written beside them (spec section 9)."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 import logging
 import time
+from typing import TYPE_CHECKING
 
 from persem_ros.core.jit import work_alone
 from persem_ros.errors import PersemError
+
+if TYPE_CHECKING:
+    from persem_ros.core.memory.paging import Checkpoint, Pager
 
 log = logging.getLogger(__name__)
 AGAIN = 2.0         # s after which a checkpoint that failed is tried again
@@ -29,23 +36,25 @@ class Checkpoints:
 
     """
 
-    def __init__(self, wake):
+    def __init__(self, wake: Callable[[], None]) -> None:
         """Begin with none."""
         self._wake = wake
         self._thread = ThreadPoolExecutor(1, 'checkpoint', work_alone)
-        self._current = self._result = None
-        self._asked, self._served = [], []
+        self._current: Checkpoint | None = None
+        self._result: Future[None] | None = None
+        self._asked: list[Future[None]] = []
+        self._served: list[Future[None]] = []
         self.failing = False
         self._tried = self._written = time.monotonic()
         self._warned = -THROTTLE
 
-    def ask(self):
-        """Return a Future of a checkpoint begun from now on."""
-        future = Future()
+    def ask(self) -> Future[None]:
+        """Ask for a checkpoint begun from now on."""
+        future: Future[None] = Future()
         self._asked.append(future)
         return future
 
-    def step(self, pager, period, max_voxels):
+    def step(self, pager: Pager, period: float, max_voxels: int) -> None:
         """Go on with the checkpoint under way, or begin one that is due."""
         if self._current is None:
             if self._due(pager, period, max_voxels):
@@ -55,25 +64,25 @@ class Checkpoints:
             if self._current.capture.step():
                 self._result = self._thread.submit(self._write, self._current)
         elif self._result.done():
-            self._end()
+            self._end(self._current, self._result)
 
-    def settle(self):
+    def settle(self) -> None:
         """Wait for the checkpoint under way and end it, whatever has become of it."""
-        if self._result is not None:
+        if self._current is not None and self._result is not None:
             self._result.exception()
-            self._end()
+            self._end(self._current, self._result)
         elif self._current is not None:
             self._current.end()
             self._current, self._asked = None, self._served + self._asked
 
-    def close(self):
+    def close(self) -> None:
         """Begin no more of them."""
         self.settle()
         self._thread.shutdown()
         for future in self._asked:
             future.set_exception(PersemError('the node is shutting down'))
 
-    def _due(self, pager, period, max_voxels):
+    def _due(self, pager: Pager, period: float, max_voxels: int) -> bool:
         """Return whether one should begin now."""
         if self._asked:
             return True
@@ -86,15 +95,15 @@ class Checkpoints:
         dirty = pager.dirty_voxels
         return dirty > 0 and (since >= period or pager.memory.n_voxels - dirty < max_voxels // 10)
 
-    def _write(self, checkpoint):
+    def _write(self, checkpoint: Checkpoint) -> None:
         try:
             checkpoint.write()
         finally:
             self._wake()
 
-    def _end(self):
+    def _end(self, current: Checkpoint, result: Future[None]) -> None:
         """Say how it went to those who asked, or once a minute where it went wrong."""
-        current, error, served = self._current, self._result.exception(), self._served
+        error, served = result.exception(), self._served
         self._current, self._result, self._served = None, None, []
         current.end()
         now = time.monotonic()

@@ -1,5 +1,7 @@
 """What the node knows of itself: rates, latencies, drops; written by the worker, read by all."""
 
+from __future__ import annotations
+
 from collections import Counter, deque
 import time
 
@@ -12,15 +14,15 @@ KEPT = 1000         # latencies
 class Rate:
     """Events per second over the last seconds."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         """Start without events."""
-        self._times = deque(maxlen=KEPT)
+        self._times: deque[float] = deque(maxlen=KEPT)
 
-    def note(self):
+    def note(self) -> None:
         """Count an event."""
         self._times.append(time.monotonic())
 
-    def __call__(self):
+    def __call__(self) -> float:
         """Return the rate in Hz."""
         first = time.monotonic() - WINDOW
         return sum(t >= first for t in list(self._times)) / WINDOW
@@ -47,20 +49,20 @@ class Statistics:
 
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         """Start at zero."""
-        self.dropped = Counter()
+        self.dropped: Counter[str] = Counter()
         self.frames = 0
-        self.last_frame = None
+        self.last_frame: float | None = None
         self.frame_rate = Rate()
         self.refinements = 0
         self.forgotten = 0
         self.refined_in = 0.0
         self.visited = 0
         self.error = ''
-        self._latencies = deque(maxlen=KEPT)
+        self._latencies: deque[tuple[float, float]] = deque(maxlen=KEPT)     # when, s
 
-    def frame(self, latency):
+    def frame(self, latency: float) -> None:
         """Count a frame that was done *latency* seconds after its last message came."""
         self.frames += 1
         self.last_frame = time.monotonic()
@@ -77,7 +79,7 @@ class Statistics:
         """Return the number of depth images that no label image wanted: no loss."""
         return self.dropped[UNUSED]
 
-    def latencies(self):
+    def latencies(self) -> tuple[float, float]:
         """Return (p50, p95) of the recent latencies in seconds, (0, 0) without frames."""
         first = time.monotonic() - 2 * WINDOW
         recent = sorted(latency for at, latency in list(self._latencies) if at >= first)

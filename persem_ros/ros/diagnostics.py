@@ -1,10 +1,19 @@
 """/diagnostics once a second: rates, latency, queue, drops, size of the map, last error."""
 
+from __future__ import annotations
+
 import socket
+from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from persem_ros.preflight.findings import REFUSE
 from persem_ros.ros.inputs import TF_STATIC
+
+if TYPE_CHECKING:
+    from persem_ros.ros.inbox import Inbox
+    from persem_ros.ros.inputs import Input, Inputs
+    from persem_ros.ros.worker import Worker
+    from rclpy.node import Node
 
 
 class Diagnostics:
@@ -14,34 +23,35 @@ class Diagnostics:
     Parameters
     ----------
     node : rclpy.node.Node
-    worker : persem_ros.ros.worker.Worker
-    inputs : persem_ros.ros.inputs.Inputs
-    inbox : persem_ros.ros.inbox.Inbox
+    worker : Worker
+    inputs : Inputs
+    inbox : Inbox
 
     """
 
-    def __init__(self, node, worker, inputs, inbox):
+    def __init__(self, node: Node, worker: Worker, inputs: Inputs, inbox: Inbox) -> None:
         """Advertise the topic."""
         self._node, self._worker, self._inputs, self._inbox = node, worker, inputs, inbox
         self._out = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
-        self._counts, self._dropped = {}, 0
+        self._counts: dict[Input, int] = {}
+        self._dropped = 0
         # As diagnostic_updater has it: node, then task; several robots share the topic.
         self._name = node.get_fully_qualified_name().lstrip('/')
         self._hardware = f'{socket.gethostname()}{node.get_namespace()}'.rstrip('/')
 
-    def publish(self, silent=''):
+    def publish(self, silent: str = '') -> None:
         """Publish the state; *silent* is what the watchdog has warned of, '' for nothing."""
         array = DiagnosticArray(status=[self.status(silent), self.preflight()])
         array.header.stamp = self._node.get_clock().now().to_msg()
         self._out.publish(array)
 
-    def status(self, silent=''):
-        """Return the DiagnosticStatus of now; call it once a second."""
+    def status(self, silent: str = '') -> DiagnosticStatus:
+        """Return that of now; call it once a second."""
         statistics, memory = self._worker.statistics, self._worker.memory
         p50, p95 = statistics.latencies()
         losses = statistics.losses()
         dropped = losses.total()
-        values = {}
+        values: dict[str, object] = {}
         for one in self._inputs.all:
             if one.role != TF_STATIC and one.subscriptions:
                 values[f'{one.name} (Hz)'] = one.count - self._counts.get(one, 0)
@@ -70,8 +80,8 @@ class Diagnostics:
             hardware_id=self._hardware,
             values=[KeyValue(key=k, value=str(v)) for k, v in values.items()])
 
-    def preflight(self):
-        """Return the DiagnosticStatus of what the look at the first messages has found."""
+    def preflight(self) -> DiagnosticStatus:
+        """Return that of what the look at the first messages has found."""
         look = self._worker.first_look
         found = list(look.findings)
         levels = [DiagnosticStatus.ERROR if finding.severity == REFUSE else DiagnosticStatus.WARN
@@ -84,7 +94,7 @@ class Diagnostics:
             values=[KeyValue(key=f'{number} {finding.severity}', value=finding.text(live=True))
                     for number, finding in enumerate(found, 1)])
 
-    def _verdict(self, dropped, silent):
+    def _verdict(self, dropped: int, silent: str) -> tuple[bytes, str]:
         """Return level and message."""
         if not self._worker.ready.is_set():
             return DiagnosticStatus.WARN, 'compiling the kernels'

@@ -1,13 +1,24 @@
 """Refined labels out: the topics of one camera, or of one LiDAR with labelled clouds."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TYPE_CHECKING
+
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.core.frame.images import on_labels
 from persem_ros.frames import UNKNOWN
 from persem_ros.outputs.recording.refined import fitted
 from persem_ros.ros.messages import cloud, image
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Image, PointCloud2
+
+if TYPE_CHECKING:
+    from persem_ros.frames import Frame
+    from persem_ros.settings.legend import Legend
+    from rclpy.node import Node
 
 NO_SOURCE = 255         # in ~/source: the map knows nothing there
 QOS = QoSProfile(depth=5)       # reliable and volatile: what every subscriber can take
@@ -23,13 +34,14 @@ class ImageOutputs:
     camera : str
         Its name, '' where there is only one.
     legend : callable
-        legend() gives the persem_ros.settings.legend.Legend in force.
+        legend() gives the one in force.
     clouds : bool
         Whether its input is labelled clouds.
 
     """
 
-    def __init__(self, node, camera, legend, clouds=False):
+    def __init__(self, node: Node, camera: str, legend: Callable[[], Legend],
+                 clouds: bool = False) -> None:
         """Advertise the topics."""
         base = f'~/{camera}/' if camera else '~/'
         self._legend = legend
@@ -38,19 +50,20 @@ class ImageOutputs:
         self._out = {name: node.create_publisher(kind, f'{base}{name}', QOS)
                      for name, kind in kinds.items()}
 
-    def wanted(self):
+    def wanted(self) -> set[str]:
         """Return the names of the topics that somebody listens to."""
         return {name for name, out in self._out.items() if out.get_subscription_count()}
 
-    def publish(self, wanted, frame, labels, sources):
+    def publish(self, wanted: set[str], frame: Frame, labels: NDArray[np.int32],
+                sources: Callable[[], NDArray[np.uint8]]) -> None:
         """
         Publish what is wanted of a frame.
 
         Parameters
         ----------
-        wanted : set of str
+        wanted : set
             Names of topics.
-        frame : persem_ros.frames.Frame
+        frame : Frame
             The input.
         labels : ndarray, shape (H, W), int32
             Refined labels.
@@ -59,6 +72,7 @@ class ImageOutputs:
 
         """
         if 'points' in wanted:      # the cloud as it came, with other labels
+            assert frame.cloud is not None      # ~/points is advertised for clouds only
             self._out['points'].publish(cloud(frame.stamp, frame.frame_id,
                                               frame.cloud.with_labels(labels)))
         if 'labels' in wanted:
@@ -73,19 +87,21 @@ class ImageOutputs:
         if 'overlay' in wanted:
             self._send('overlay', frame, overlay(frame, colors), 'rgb8')
 
-    def _send(self, name, frame, values, encoding):
+    def _send(self, name: str, frame: Frame, values: NDArray[Any], encoding: str) -> None:
         self._out[name].publish(image(frame.stamp, frame.frame_id, values, encoding))
 
 
-def overlay(frame, colors):
+def overlay(frame: Frame, colors: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return colours, uint8 (H, W, 3), over the frame's colour image, else over its depth."""
     height, width = colors.shape[:2]
     if frame.color is not None:
-        below = cv2.resize(frame.color, (width, height), interpolation=cv2.INTER_AREA)
+        below = np.asarray(
+            cv2.resize(frame.color, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
     else:
         depth = on_labels(frame, frame.depth, 0)
         known = np.isfinite(depth) & (depth > 0)
         scale = 255.0 / max(float(np.percentile(depth[known], 95)), 1e-6) if known.any() else 0.0
         grey = np.where(known, 255.0 - np.minimum(np.where(known, depth, 0) * scale, 230.0), 0)
         below = np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2)
-    return cv2.addWeighted(colors, 0.5, np.ascontiguousarray(below), 0.5, 0.0)
+    mixed = cv2.addWeighted(colors, 0.5, np.ascontiguousarray(below), 0.5, 0.0)
+    return np.asarray(mixed, np.uint8)

@@ -1,11 +1,18 @@
 """The queue between the subscriptions and the worker: bounded in seconds and bytes."""
 
+from __future__ import annotations
+
 from collections import deque
+from collections.abc import Callable
 import threading
 import time
-from typing import NamedTuple
+from typing import NamedTuple, TYPE_CHECKING
 
 from persem_ros.inputs.sync.pairing import LABELS
+
+if TYPE_CHECKING:
+    from persem_ros.ros.inputs import Input
+    from persem_ros.settings.config import Sync
 
 MAX_SMALL = 20000       # poses and camera infos; images are bounded in seconds and bytes
 
@@ -14,12 +21,12 @@ class Item(NamedTuple):
     """A message as it came."""
 
     arrival: int        # ns, time.monotonic_ns
-    input: object       # noqa: A003 - persem_ros.ros.inputs.Input
+    input: Input        # noqa: A003
     kind: str           # 'sensor_msgs/msg/Image'
     data: bytes
 
 
-def _stamp(item, offset):
+def _stamp(item: Item, offset: int) -> int | None:
     """Return the stamp of an image by the clock of the depth images, None without."""
     stamp = item.input.stamp_of(item.data)
     return stamp + offset if stamp is not None and item.input.role == LABELS else stamp
@@ -34,34 +41,35 @@ class Inbox:
 
     Parameters
     ----------
-    sync : persem_ros.settings.config.Sync
+    sync : Sync
         sync.queue and sync.queue_bytes.
     on_drop : callable
         on_drop(item), from any thread.
 
     """
 
-    def __init__(self, sync, on_drop):
+    def __init__(self, sync: Sync, on_drop: Callable[[Item], None]) -> None:
         """Start empty."""
         self.configure(sync)
         self.bytes = 0
         self._on_drop = on_drop
-        self._images, self._small = deque(), deque()
+        self._images: deque[Item] = deque()
+        self._small: deque[Item] = deque()
         self._changed = threading.Condition()
         self._woken = False
 
-    def __len__(self):
+    def __len__(self) -> int:
         """Return the number of messages that wait."""
         return len(self._images) + len(self._small)
 
-    def configure(self, sync):
+    def configure(self, sync: Sync) -> None:
         """Go on with other bounds."""
         self._seconds = round(sync.queue * 1e9)
         self._max_bytes = sync.queue_bytes
 
-    def put(self, item):
+    def put(self, item: Item) -> None:
         """Add a message, on the thread of the subscriptions; never blocks for long."""
-        dropped = []
+        dropped: list[Item] = []
         with self._changed:
             if item.input.is_image:
                 self._images.append(item)
@@ -78,7 +86,7 @@ class Inbox:
         for old in dropped:
             self._on_drop(old)
 
-    def get(self, timeout):
+    def get(self, timeout: float) -> Item | None:
         """Return the message that came first, None when none came within *timeout* seconds."""
         end = time.monotonic() + timeout
         with self._changed:
@@ -96,7 +104,7 @@ class Inbox:
                 self.bytes -= len(item.data)
             return item
 
-    def skip(self, offset, tolerance):
+    def skip(self, offset: int, tolerance: int) -> tuple[int, int] | None:
         """
         Leave out all images that are older than the newest label image that waits.
 
@@ -117,13 +125,14 @@ class Inbox:
         """
         with self._changed:
             stamps = [_stamp(item, offset) for item in self._images]
-            newest = {}     # of each topic with label images
+            newest: dict[Input, int] = {}       # of each topic with label images
             for item, stamp in zip(self._images, stamps):
                 if item.input.role == LABELS and stamp is not None:
                     newest[item.input] = max(stamp, newest.get(item.input, stamp))
             if not newest:
                 return None
-            cut, kept, count = min(newest.values()), deque(), 0
+            kept: deque[Item] = deque()
+            cut, count = min(newest.values()), 0
             for item, stamp in zip(self._images, stamps):
                 labels = item.input.role == LABELS
                 if stamp is None or stamp >= cut - (0 if labels else tolerance):
@@ -134,13 +143,13 @@ class Inbox:
             self._images = kept
             return cut, count
 
-    def wake(self):
+    def wake(self) -> None:
         """Let a waiting get() return now."""
         with self._changed:
             self._woken = True
             self._changed.notify()
 
-    def clear(self):
+    def clear(self) -> None:
         """Forget everything that waits."""
         with self._changed:
             self._images.clear()

@@ -1,7 +1,11 @@
 """Subscriptions: they only queue. Transports and pose types are taken from the graph."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
 from functools import partial
 import time
+from typing import Any, TYPE_CHECKING
 
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TransformStamped
 from nav_msgs.msg import Odometry, Path
@@ -24,6 +28,16 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
+if TYPE_CHECKING:
+    from persem_ros.inputs.intake import Station, Taker
+    from persem_ros.inputs.live import LiveIntake
+    from persem_ros.ros.inbox import Inbox
+    from persem_ros.settings.config import Config
+    from rclpy.node import Node
+    from rclpy.subscription import Subscription
+    from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+MessageClass = Any      # one that rosidl has generated: these share no base
 TF_STATIC = 'tf_static'
 OPTIONAL = (COLOR, TF_STATIC, LABELS_INFO, LEGEND, TRAJECTORY)     # nobody need publish them
 QOS_OF = {CONFIDENCE: LABELS, DEPTH_CONFIDENCE: DEPTH}
@@ -70,29 +84,30 @@ class Input:
 
     """
 
-    def __init__(self, role, name, topic, takers, choices, setting, depth):
+    def __init__(self, role: str, name: str, topic: str, takers: list[Taker],
+                 choices: list[tuple[str, MessageClass]], setting: str, depth: int) -> None:
         """Keep what belongs together; nothing is subscribed yet."""
         self.role, self.name, self.topic, self.takers = role, name, topic, takers
         self.choices, self.setting, self.depth = choices, setting, depth
         self.is_image = role in ORDER
-        self.chosen = None
+        self.chosen: int | None = None
         self.reliability = ''
-        self.subscriptions = []
+        self.subscriptions: list[Subscription] = []
         self.count = self.lost = 0
-        self.came = None
+        self.came: float | None = None
         self._last = b''
 
     @property
-    def stamp(self):
+    def stamp(self) -> int | None:
         """Stamp of the last message in ns, None where there is none."""
         return self.stamp_of(self._last)
 
     @property
-    def listened(self):
+    def listened(self) -> str:
         """Return the topic that it listens to, after remapping."""
         return self.choices[self.chosen][0] if self.chosen else self.topic
 
-    def stamp_of(self, data):
+    def stamp_of(self, data: bytes) -> int | None:
         """Return the stamp of one of its messages in ns, None where it cannot be read."""
         if self.role == LEGEND:
             return None
@@ -105,7 +120,7 @@ class Input:
         except BadMessage:
             return None
 
-    def note(self, data):
+    def note(self, data: bytes) -> None:
         """Count a message."""
         self.count += 1
         self.came = time.monotonic()
@@ -119,22 +134,22 @@ class Inputs:
     Parameters
     ----------
     node : rclpy.node.Node
-    config : persem_ros.settings.config.Config
-    intake : persem_ros.inputs.live.LiveIntake
+    config : Config
+    intake : LiveIntake
         Gets its cameras and their pose buffers here.
-    inbox : persem_ros.ros.inbox.Inbox
+    inbox : Inbox
         Where messages go.
 
     """
 
-    def __init__(self, node, config, intake, inbox):
+    def __init__(self, node: Node, config: Config, intake: LiveIntake, inbox: Inbox) -> None:
         """Subscribe to whatever needs no look at the graph."""
         self._node, self._config, self._inbox = node, config, inbox
-        self._buffers = {}
-        self._infos = {}
-        self.stations = {}      # by camera
+        self._buffers: dict[str, PoseBuffer] = {}
+        self._infos: dict[tuple[str, str], Input] = {}
+        self.stations: dict[str, Station] = {}      # by camera
         self._colored = False
-        self.all = []
+        self.all: list[Input] = []
         self._tf = config.topics.tf or '/tf'
         for camera in [name for name in config.cameras if name] or ['']:
             self._add_camera(topics_of(config, camera), camera, intake)
@@ -149,28 +164,29 @@ class Inputs:
         self.resolve()
 
     @property
-    def pose_buffers(self):
+    def pose_buffers(self) -> list[PoseBuffer]:
         """Return the pose buffers of all cameras; only the worker may ask them."""
         return list(self._buffers.values())
 
     @property
-    def settled(self):
+    def settled(self) -> bool:
         """Whether every topic has a publisher of a type that was subscribed to."""
         return all(one.chosen is not None and self.publishers(one) for one in self.needed)
 
     @property
-    def needed(self):
+    def needed(self) -> list[Input]:
         """Return the inputs without which there is no frame."""
         tf = self._config.pose.source == 'tf'
         return [one for one in self.all
                 if one.role not in OPTIONAL and (tf or one.role != TF)]
 
-    def resolve(self):
+    def resolve(self) -> None:
         """Follow the graph: the first of an input's choices that is published, as it is."""
         for one in self.all:
             if one.role == COLOR and not self._colored:
                 continue
-            if one.role == TF and not any(buffer.needs_tf for buffer in one.takers):
+            if one.role == TF and not any(
+                    isinstance(taker, PoseBuffer) and taker.needs_tf for taker in one.takers):
                 self._unsubscribe(one)      # hundreds of messages a second that nobody needs
                 continue
             number = one.chosen
@@ -185,18 +201,18 @@ class Inputs:
             if one.role in (INFO, LABELS_INFO, LEGEND, TRAJECTORY):
                 self._listen_to_the_past(one)
 
-    def want_color(self, wanted):
+    def want_color(self, wanted: bool) -> None:
         """Subscribe to colour images, or no longer: only the overlay needs them."""
         self._colored = wanted
         for one in self.all:
             if one.role == COLOR and not wanted:
                 self._unsubscribe(one)
 
-    def publishers(self, one):
+    def publishers(self, one: Input) -> list[TopicEndpointInfo]:
         """Return the endpoints that publish what an input listens to."""
         return [] if one.chosen is None else self._published(*one.choices[one.chosen])
 
-    def verdict(self, one):
+    def verdict(self, one: Input) -> str:
         """Return what stands between an input and its publishers, '' for nothing."""
         everybody = self._node.get_publishers_info_by_topic(one.listened)
         if not everybody:
@@ -215,7 +231,7 @@ class Inputs:
             return f'QoS does not fit ({reasons[0][1].strip("; ")}); see qos.{one.role}'
         return ''
 
-    def _elsewhere(self, one):
+    def _elsewhere(self, one: Input) -> str:
         """Return where a topic's type is published, and what to type; '' where nowhere."""
         own = f'{self._node.get_fully_qualified_name()}/'
         taken = {other.listened for other in self.all if other.count}
@@ -232,13 +248,13 @@ class Inputs:
         return f' ({", ".join(found[:SHOWN])} {"is" if len(found) == 1 else "are"} of its type: ' \
                f'{flag})'
 
-    def describe(self):
+    def describe(self) -> str:
         """Return what is listened to, under the names after remapping, in one line."""
         shown = [one for one in self.all if one.role not in OPTIONAL
                  and (one in self.needed or one.chosen is not None)]
         return ', '.join(f'{one.listened} ({one.role})' for one in shown)
 
-    def _add_camera(self, topics, camera, intake):
+    def _add_camera(self, topics: Topics, camera: str, intake: LiveIntake) -> None:
         qos, pose = self._config.qos, self._config.pose
         small = SMALL_FACTOR * qos.queue
         name = topics.pose if pose.source == 'topic' else self._tf
@@ -273,7 +289,7 @@ class Inputs:
                                              qos.camera_info, small)
                 self._infos[key].choices += self._infos_of(role, topics)
 
-    def _add_legend(self, config):
+    def _add_legend(self, config: Config) -> None:
         """Listen to tables of class names where labels.topic says, or beside the labels."""
         kinds = [String, LabelInfo] if LabelInfo else [String]
         one = self._add(LEGEND, config.labels.topic, [None], kinds, 'auto', 10)
@@ -281,7 +297,7 @@ class Inputs:
             one.choices += [(topic, LabelInfo) for labels in self.all if labels.role == LABELS
                             for topic in beside(labels.topic, 'label_info')]
 
-    def _infos_of(self, role, topics):
+    def _infos_of(self, role: str, topics: Topics) -> list[tuple[str, MessageClass]]:
         """Return where else the camera info of a camera's labels may be: beside them."""
         if roles_of(self._config, topics)[role] != LABELS_INFO or \
                 not topics.labels_info.endswith(Topics().labels_info):
@@ -290,7 +306,8 @@ class Inputs:
                          for name in (topics.labels, topics.camera_info))
         return [(topic, CameraInfo) for topic in beside(labels, 'camera_info') if topic != depth]
 
-    def _add(self, role, name, takers, kinds, setting, depth):
+    def _add(self, role: str, name: str, takers: Sequence[Taker], kinds: list[MessageClass],
+             setting: str, depth: int) -> Input:
         """Add an input whose topic has one of *kinds*; images may come by a transport."""
         topic = self._node.resolve_topic_name(name)
         choices = [(topic, kind) for kind in kinds]
@@ -298,22 +315,22 @@ class Inputs:
             transports = ('compressedDepth', 'compressed') if role == DEPTH else ('compressed',)
             choices += [(self._transport(name, topic, transport), CompressedImage)
                         for transport in transports]
-        self.all.append(Input(role, name, topic, takers, choices, setting, depth))
+        self.all.append(Input(role, name, topic, list(takers), choices, setting, depth))
         return self.all[-1]
 
-    def _transport(self, name, topic, transport):
+    def _transport(self, name: str, topic: str, transport: str) -> str:
         """Return a transport's topic: below the remapped topic, unless it is remapped itself."""
         own = f'{name}/{transport}'
         resolved = self._node.resolve_topic_name(own)
         remapped = resolved != self._node.resolve_topic_name(own, only_expand=True)
         return resolved if remapped else f'{topic}/{transport}'
 
-    def _published(self, topic, cls):
+    def _published(self, topic: str, cls: MessageClass) -> list[TopicEndpointInfo]:
         """Return the publishers of a topic with the type of *cls*."""
         return [end for end in self._node.get_publishers_info_by_topic(topic)
                 if end.topic_type == type_name(cls)]
 
-    def _subscribe(self, one, number):
+    def _subscribe(self, one: Input, number: int) -> None:
         """Listen to an input's choice *number*, in the way that fits its publishers."""
         reliability = self._reliability(one, number)
         if one.subscriptions and (number, reliability) == (one.chosen, one.reliability):
@@ -322,7 +339,7 @@ class Inputs:
         one.chosen, one.reliability = number, reliability
         one.subscriptions = [self._subscription(one, reliability)]
 
-    def _reliability(self, one, number):
+    def _reliability(self, one: Input, number: int) -> str:
         """Return how to subscribe to an input's choice *number*, as rosbag2 decides."""
         if one.setting != 'auto':
             return one.setting
@@ -332,7 +349,7 @@ class Inputs:
         reliable = all(end.qos_profile.reliability == ReliabilityPolicy.RELIABLE for end in ends)
         return 'reliable' if reliable else 'best_effort'
 
-    def _subscription(self, one, reliability):
+    def _subscription(self, one: Input, reliability: str) -> Subscription:
         """
         Return a subscription that hands out serialized messages.
 
@@ -340,6 +357,7 @@ class Inputs:
         reach the middleware's.
 
         """
+        assert one.chosen is not None       # _subscribe() sets it before
         topic, cls = one.choices[one.chosen]
         received = partial(self._received, one, type_name(cls))
         profile = _profile(reliability, one.depth)
@@ -352,7 +370,7 @@ class Inputs:
                 pass
         return create()
 
-    def _listen_to_the_past(self, one):
+    def _listen_to_the_past(self, one: Input) -> None:
         """
         Subscribe once more to an input that somebody publishes latched.
 
@@ -365,29 +383,29 @@ class Inputs:
                 for end in self.publishers(one)):
             one.subscriptions.append(self._subscription(one, 'latched'))
 
-    def _unsubscribe(self, one):
+    def _unsubscribe(self, one: Input) -> None:
         for subscription in one.subscriptions:
             self._node.destroy_subscription(subscription)
         one.subscriptions, one.chosen, one.reliability = [], None, ''
 
-    def _received(self, one, kind, data):
+    def _received(self, one: Input, kind: str, data: bytes) -> None:
         one.note(data)
         self._inbox.put(Item(time.monotonic_ns(), one, kind, data))
 
 
-def type_name(cls):
+def type_name(cls: MessageClass) -> str:
     """Return the name of a message class: 'sensor_msgs/msg/Image'."""
     return f'{cls.__module__.partition(".")[0]}/msg/{cls.__name__}'
 
 
-def beside(topic, name):
+def beside(topic: str, name: str) -> Iterator[str]:
     """Yield where what belongs to a topic may be: below it, beside it, above it."""
     while topic:
         yield f'{topic}/{name}'
         topic = topic.rpartition('/')[0]
 
 
-def check_topics(config):
+def check_topics(config: Config) -> None:
     """Refuse settings that would give two kinds of messages one topic."""
     for camera in [name for name in config.cameras if name] or ['']:
         topics = topics_of(config, camera)
@@ -396,13 +414,13 @@ def check_topics(config):
                               'expected two topics')
 
 
-def _lost(one, event):
+def _lost(one: Input, event: Any) -> None:
     """Count what the middleware has lost."""
     one.lost += event.total_count_change
 
 
-def _profile(setting, depth):
-    """Return the QoSProfile of 'best_effort', 'reliable' or 'latched'."""
+def _profile(setting: str, depth: int) -> QoSProfile:
+    """Return that of 'best_effort', 'reliable' or 'latched'."""
     return QoSProfile(
         depth=depth,
         reliability=ReliabilityPolicy.BEST_EFFORT if setting == 'best_effort'

@@ -1,8 +1,12 @@
 """The node: parameters in, messages to the worker, results out. Start here."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator
 from contextlib import contextmanager
 import logging
 import threading
+from typing import Any, TYPE_CHECKING
 
 from persem_ros.errors import PersemError
 from persem_ros.guard import limits
@@ -37,12 +41,17 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+if TYPE_CHECKING:
+    from persem_ros.settings.config import Config
+    from persem_ros.settings.legend import Legend
+
 LOOK = 0.1      # s between two looks at the graph, until every input is found
 LATE = 'depth images come {:.1f} s after their stamp, or their clock is behind (chrony, PTP): ' \
        'then every frame gets a wrong pose'
 
 
-class Mapper(Node):
+# rclpy has types only where ROS is.
+class Mapper(Node):     # type: ignore[misc]
     """
     Maps what its topics bring.
 
@@ -51,7 +60,7 @@ class Mapper(Node):
 
     """
 
-    def __init__(self, **options):
+    def __init__(self, **options: Any) -> None:
         """Declare parameters, subscribe, advertise; `start` begins to work."""
         super().__init__('mapper', automatically_declare_parameters_from_overrides=True, **options)
         self._handler = _forward(self.get_logger())
@@ -60,7 +69,7 @@ class Mapper(Node):
         limits.use(config.inputs.max_pixels)
         check_topics(config)
         legend = load_legend(config.labels.legend) if config.labels.legend else None
-        self._colors = None
+        self._colors: tuple[Legend, tuple[int, ...], Legend] | None = None
         self.statistics = Statistics()
         self.map_file = MapFile(lambda: self.statistics.forgotten, lambda: self.legend)
         memory = self.map_file.begin(config)
@@ -93,13 +102,13 @@ class Mapper(Node):
         self._looking = self.create_timer(LOOK, self._look, clock=steady)
         self.create_timer(1.0, self._tick, clock=steady)
 
-    def start(self):
+    def start(self) -> None:
         """Begin to work."""
         self.get_logger().info(f'listening to {self.inputs.describe()}; results under '
                                f'{self.get_fully_qualified_name()}/')
         self.worker.start()
 
-    def close(self):
+    def close(self) -> bool:
         """Stop the worker, save the map if map.save says so; return whether that went well."""
         self.worker.stop()
         self.triggers.close()
@@ -110,29 +119,29 @@ class Mapper(Node):
         return well
 
     @property
-    def legend(self):
+    def legend(self) -> Legend:
         """Return the classes of the map."""
         return self.intake.names.legend
 
-    def colors(self):
+    def colors(self) -> Legend:
         """Return the legend with the ids that the settings ignore in grey, as a replay's."""
         key = self.legend, self.parameters.config.memory.ignore_labels
         if self._colors is None or self._colors[0] is not key[0] or self._colors[1] != key[1]:
             self._colors = *key, self.legend.ignoring(key[1])
         return self._colors[2]
 
-    def _configure(self, config):
+    def _configure(self, config: Config) -> None:
         """Have the worker go on with changed settings."""
         limits.use(config.inputs.max_pixels)
         self.worker.call(self.worker.configure, config)
 
-    def _look(self):
+    def _look(self) -> None:
         """Follow the graph until every input has a publisher; _tick goes on once a second."""
         self.inputs.resolve()
         if self.inputs.settled:
             self._looking.cancel()
 
-    def _tick(self):
+    def _tick(self) -> None:
         self.inputs.resolve()
         if not self.inputs.settled and self._looking.is_canceled():
             self._looking.reset()
@@ -147,25 +156,26 @@ class Mapper(Node):
         self._diagnostics.publish(self._watchdog.state)
 
 
-def maps_clouds(config, camera):
+def maps_clouds(config: Config, camera: str) -> bool:
     """Return whether a camera is a LiDAR with labelled clouds."""
     return roles_of(config, topics_of(config, camera))[LABELS] == 'points'
 
 
-def main(args=None, ending=None):
+def main(args: list[str] | None = None, ending: Ending | None = None) -> int:
     """
     Run the node until it is asked to end; return the exit status.
 
     Parameters
     ----------
-    args : list of str, optional
+    args : list, optional
         The command line.
-    ending : persem_ros.ros.ending.Ending, optional
+    ending : Ending, optional
         Hears the signals.
 
     """
     ending = ending or Ending()
-    node, status = None, 0
+    node: Mapper | None = None
+    status = 0
     try:
         ending.begun = True
         # Our own handlers: ROS lives until the map is saved.
@@ -191,7 +201,7 @@ def main(args=None, ending=None):
 
 
 @contextmanager
-def _spinning(node, ending):
+def _spinning(node: Node, ending: Ending) -> Iterator[None]:
     """
     Have an executor serve *node* on a thread; what ends that ends the node.
 
@@ -201,9 +211,9 @@ def _spinning(node, ending):
     """
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    failure = []
+    failure: list[BaseException] = []
 
-    def spin():
+    def spin() -> None:
         try:
             while not ending.wanted:
                 executor.spin_once()
@@ -229,13 +239,13 @@ def _spinning(node, ending):
 class _Forward(logging.Handler):
     """Passes our own log records on to the node's logger."""
 
-    def __init__(self, logger):
+    def __init__(self, logger: Any) -> None:
         super().__init__()
         # rclpy wants one severity per place in the code, hence one function per severity.
         self._by_level = {logging.DEBUG: logger.debug, logging.INFO: logger.info,
                           logging.WARNING: logger.warning, logging.ERROR: logger.error}
 
-    def emit(self, record):
+    def emit(self, record: logging.LogRecord) -> None:
         """Log one record."""
         text = as_ros(self.format(record))
         level = min(record.levelno, logging.ERROR)
@@ -249,7 +259,7 @@ class _Forward(logging.Handler):
             self._by_level[logging.DEBUG](text)
 
 
-def _forward(logger):
+def _forward(logger: Any) -> logging.Handler:
     """Let everything of persem_ros be logged by *logger*; return the handler."""
     handler = _Forward(logger)
     logging.getLogger('persem_ros').addHandler(handler)

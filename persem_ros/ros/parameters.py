@@ -1,6 +1,10 @@
 """Settings as ROS parameters: declared with unit and range, checked, changed while mapping."""
 
+from __future__ import annotations
+
 from array import array
+from collections.abc import Callable, Mapping
+from typing import Any, TYPE_CHECKING
 
 from persem_ros.errors import PersemError
 from persem_ros.ros.map_file import unusable
@@ -11,6 +15,10 @@ from persem_ros.settings.parameter_file import ROS_OWN
 from rcl_interfaces.msg import (
     FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult)
 from rclpy.parameter import Parameter
+
+if TYPE_CHECKING:
+    from persem_ros.settings.config import Config, Topics
+    from rclpy.node import Node
 
 FLAT = {'cameras': ('',)}       # settings whose empty list ROS could not type
 
@@ -28,7 +36,7 @@ class Parameters:
 
     Attributes
     ----------
-    config : persem_ros.settings.config.Config
+    config : Config
         What is in force.
 
     Raises
@@ -38,7 +46,7 @@ class Parameters:
 
     """
 
-    def __init__(self, node):
+    def __init__(self, node: Node) -> None:
         """Declare every setting with the value of file or command line, else its default."""
         self._node = node
         given = {name: plain(parameter.value)
@@ -59,16 +67,16 @@ class Parameters:
         node.add_pre_set_parameters_callback(self._as_numbers)
         node.add_on_set_parameters_callback(self._check)
 
-    def follow(self, changed):
+    def follow(self, changed: Callable[[Config], None]) -> None:
         """Have changed(config) called after every change."""
-        def apply(parameters):
+        def apply(parameters: list[Parameter]) -> None:
             values = self._ours(parameters)
             if values:
                 self.config = updated(self.config, values)
                 changed(self.config)
         self._node.add_post_set_parameters_callback(apply)
 
-    def _check(self, parameters):
+    def _check(self, parameters: list[Parameter]) -> SetParametersResult:
         """Refuse values that do not fit, alone or together."""
         try:
             config = updated(self.config, self._ours(parameters))
@@ -77,34 +85,34 @@ class Parameters:
         problem = unusable(config) if config.map != self.config.map else ''
         return SetParametersResult(successful=not problem, reason=as_ros(problem))
 
-    def _as_numbers(self, parameters):
+    def _as_numbers(self, parameters: list[Parameter]) -> list[Parameter]:
         """Take whole numbers where doubles are meant: ROS types '2' and '[0, 0, 0]' as those."""
         kinds = {name: value for name, value, _ in settings(self.config)}
         return [_as_double(p, kinds.get(p.name)) for p in parameters]
 
-    def _ours(self, parameters):
+    def _ours(self, parameters: list[Parameter]) -> dict[str, Any]:
         known = {name for name, _, _ in settings(self.config)}
         return {p.name: plain(p.value) for p in parameters if p.name in known}
 
 
-def camera_topics(config):
-    """Return {camera: Topics}; the camera is '' where there is only one."""
+def camera_topics(config: Config) -> dict[str, Topics]:
+    """Return the topics by camera; the camera is '' where there is only one."""
     return {name: topics_of(config, name) for name in [n for n in config.cameras if n] or ['']}
 
 
-def plain(value):
+def plain(value: Any) -> Any:
     """Return a parameter's value without array.array."""
     return list(value) if isinstance(value, (array, tuple)) else value
 
 
-def listed(name, value):
+def listed(name: str, value: Any) -> Any:
     """Return a setting's value as ROS types it: a list that is never empty."""
     if isinstance(value, tuple):
         return list(value or FLAT.get(name, (-1,)))
     return value
 
 
-def _as_double(parameter, value):
+def _as_double(parameter: Parameter, value: Any) -> Parameter:
     """Return a parameter with doubles in place of integers where *value* has doubles."""
     if parameter.type_ == Parameter.Type.INTEGER and isinstance(value, float):
         return Parameter(parameter.name, Parameter.Type.DOUBLE, float(parameter.value))
@@ -115,7 +123,7 @@ def _as_double(parameter, value):
     return parameter
 
 
-def _descriptor(name, value, meta):
+def _descriptor(name: str, value: Any, meta: Mapping[str, Any]) -> ParameterDescriptor:
     """Return the description, range and read-only flag of a setting."""
     descriptor = ParameterDescriptor(description=comment(name, meta), read_only=not meta['live'])
     if meta['choices']:

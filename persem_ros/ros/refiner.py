@@ -1,16 +1,27 @@
 """Refinements beside the mapping: begun and finished by the worker, computed on a thread."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 import os
 import threading
 import time
+from typing import Any, TYPE_CHECKING
 
 from persem_ros.core.jit import work_alone
 from persem_ros.core.refine.job import abandon, at_rest, begin_next, finish, swept
 from persem_ros.core.warmup import warm_up
 from persem_ros.errors import PersemError
 
+if TYPE_CHECKING:
+    from persem_ros.core.memory.voxel_memory import VoxelMemory
+    from persem_ros.core.refine.job import Job
+    from persem_ros.ros.counters import Statistics
+    from persem_ros.settings.config import Refine
+
+Labels = tuple[Any, ...]        # what Job.compute gives and core.refine.job.finish takes
 NICE = 10       # above the priority of the process, where 19 is least
 
 
@@ -22,30 +33,33 @@ class Refiner:
 
     Parameters
     ----------
-    statistics : persem_ros.ros.counters.Statistics
+    statistics : Statistics
         Learns how long refinements take.
     wake : callable
         Called from the computing thread when it is done.
 
     """
 
-    def __init__(self, statistics, wake):
+    def __init__(self, statistics: Statistics, wake: Callable[[], None]) -> None:
         """Start without a refinement."""
         self._statistics, self._wake = statistics, wake
         self._thread = ThreadPoolExecutor(1, 'refine', stand_back)
-        self._job = self._result = None
+        self._job: Job | None = None
+        self._result: Future[Labels] | None = None
         self._began = time.monotonic()
-        self._asked = []        # futures of those who want a full refinement from here on
-        self._served = []       # futures of those for whom one is under way, slice by slice
+        # Of those who want a full refinement from here on, and of those for whom one is under
+        # way, slice by slice.
+        self._asked: list[Future[tuple[int, float]]] = []
+        self._served: list[Future[tuple[int, float]]] = []
         self._asked_at = 0.0    # when that one began
         self.held = False       # whether none may begin
 
     @property
-    def busy(self):
+    def busy(self) -> bool:
         """Return whether a refinement is under way."""
         return self._job is not None
 
-    def begin(self, memory, settings, stale=True):
+    def begin(self, memory: VoxelMemory, settings: Refine, stale: bool = True) -> bool:
         """
         Begin a refinement where one is due and none under way.
 
@@ -64,9 +78,9 @@ class Refiner:
         self._asked, self._served = [], []
         return False
 
-    def finish(self, memory):
+    def finish(self, memory: VoxelMemory) -> bool:
         """Enter what has been computed; return whether labels may have changed."""
-        if self._job is None or not self._result.done():
+        if self._job is None or self._result is None or not self._result.done():
             return False
         job, result = self._job, self._result
         self._job = self._result = None
@@ -91,31 +105,31 @@ class Refiner:
             self._served = []
         return visited > 0
 
-    def ask(self):
-        """Return a Future of a full refinement begun from now on: (voxels visited, seconds)."""
-        future = Future()
+    def ask(self) -> Future[tuple[int, float]]:
+        """Ask for a full refinement begun from now on: (voxels visited, seconds)."""
+        future: Future[tuple[int, float]] = Future()
         self._asked.append(future)
         return future
 
-    def close(self):
+    def close(self) -> None:
         """Wait for what is being computed and forget it."""
         self._thread.shutdown()
         for future in self._asked + self._served:
             future.set_exception(PersemError('the node is shutting down'))
 
-    def _begin(self, memory, settings):
+    def _begin(self, memory: VoxelMemory, settings: Refine) -> bool:
         self._began = time.monotonic()
         fresh = bool(self._asked) and not self._served
         if fresh:
             self._served, self._asked = self._asked, []
             self._asked_at = self._began
         self._job = begin_next(memory, settings, fresh)
-        self._result = self._thread.submit(self._compute, self._job)
+        self._result = self._thread.submit(self._compute, self._job, settings)
         return at_rest(memory, settings)
 
-    def _compute(self, job):
+    def _compute(self, job: Job, settings: Refine) -> Labels:
         try:
-            if job.settings.method == 'geometry':       # chosen while the node was running
+            if settings.method == 'geometry':       # chosen while the node was running
                 warm_up(True)
             return job.compute()
         finally:

@@ -1,9 +1,13 @@
 """The services: each answers what happened, where the file is, how many voxels."""
 
-from concurrent.futures import ThreadPoolExecutor
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Generator
+from concurrent.futures import Future, ThreadPoolExecutor
 import logging
 import threading
 import time
+from typing import Any, TYPE_CHECKING
 
 from persem_ros.core.memory.capture import Capture
 from persem_ros.core.refine.job import refine_all
@@ -12,6 +16,13 @@ from persem_ros.ros.map_file import path_of
 from persem_ros.ros.wording import as_ros
 from rclpy.callback_groups import ReentrantCallbackGroup
 from std_srvs.srv import Trigger
+
+if TYPE_CHECKING:
+    from persem_ros.core.memory.dump import MemoryDump
+    from persem_ros.core.memory.voxel_memory import VoxelMemory
+    from persem_ros.ros.map_file import MapFile
+    from persem_ros.ros.worker import Worker
+    from rclpy.node import Node
 
 log = logging.getLogger(__name__)
 
@@ -26,13 +37,13 @@ class Services:
     Parameters
     ----------
     node : rclpy.node.Node
-    worker : persem_ros.ros.worker.Worker
-    map_file : persem_ros.ros.map_file.MapFile
+    worker : Worker
+    map_file : MapFile
         Reads and writes map.path.
 
     """
 
-    def __init__(self, node, worker, map_file):
+    def __init__(self, node: Node, worker: Worker, map_file: MapFile) -> None:
         """Advertise the services."""
         self._worker, self._map_file = worker, map_file
         self._threads = ThreadPoolExecutor(4, 'service')
@@ -44,21 +55,21 @@ class Services:
             node.create_service(Trigger, f'~/{name}', self._service(getattr(self, name)),
                                 callback_group=group)
 
-    def refine(self):
+    def refine(self) -> str:
         """Refine the whole map with a fresh volatility; what came before it is part of it."""
         if self._worker.memory.pager is not None:
             return self._refine_attached()
         visited, took = self._worker.call(self._worker.refiner.ask).result().result()
         return f'refined {visited} voxels in {took:.3f} s'
 
-    def save_map(self):
+    def save_map(self) -> str:
         """Save to map.path; the worker copies what is needed in slices between frames."""
         if self._worker.memory.pager is not None:
             self._worker.call(self._worker.checkpoints.ask).result().result()
             return self._map_file.described()
         return self._map_file.save(self._worker.config, self._captured)
 
-    def load_map(self):
+    def load_map(self) -> str:
         """Load map.path in place of the map."""
         if self._worker.memory.pager is not None:
             raise PersemError(f'{path_of(self._worker.config)} is attached, it is the map '
@@ -67,23 +78,23 @@ class Services:
         self._worker.call(self._worker.replace, memory, self._map_file.legend).result()
         return f'loaded {memory.n_voxels} voxels from {path_of(self._worker.config)}'
 
-    def reset(self):
+    def reset(self) -> str:
         """Forget the map."""
         return f'forgot {self._worker.call(self._worker.reset).result()} voxels'
 
-    def pause(self):
+    def pause(self) -> str:
         """Integrate no more frames; they are still rendered from the map as it is."""
         return self._pause(True, 'paused')
 
-    def resume(self):
+    def resume(self) -> str:
         """Integrate frames again."""
         return self._pause(False, 'mapping')
 
-    def close(self):
+    def close(self) -> None:
         """Wait for what is under way."""
         self._threads.shutdown()
 
-    def _refine_attached(self):
+    def _refine_attached(self) -> str:
         """Refine what is in memory and in the file, step by step between frames."""
         worker, begun, visited = self._worker, time.monotonic(), 0
         with self._refining:
@@ -102,17 +113,17 @@ class Services:
             raise PersemError('the map is empty, there is nothing to refine')
         return f'refined {visited} voxels in {time.monotonic() - begun:.3f} s'
 
-    def _wait_for_room(self):
+    def _wait_for_room(self) -> None:
         """Let a checkpoint make room where memory is crowded and the disk keeps up."""
         worker, bound = self._worker, self._worker.config.memory.max_voxels
         while 0 < 1.2 * bound < worker.memory.n_voxels and not worker.checkpoints.failing:
             worker.call(worker.checkpoints.ask).result().result()
 
-    def _captured(self):
+    def _captured(self) -> tuple[MemoryDump, VoxelMemory, int]:
         """Return what MapFile.copied() does."""
         worker = self._worker
 
-        def begin():
+        def begin() -> tuple[Capture, VoxelMemory, int]:
             return Capture(worker.memory), worker.memory, worker.statistics.forgotten
         capture, memory, forgotten = worker.call(begin).result()
         try:
@@ -122,16 +133,16 @@ class Services:
         finally:
             capture.close()
 
-    def _pause(self, paused, word):
-        def change():
+    def _pause(self, paused: bool, word: str) -> str:
+        def change() -> bool:
             before, self._worker.paused = self._worker.paused, paused
             return before
         before = self._worker.call(change).result()
         again = ' already' if before == paused else ''
         return f'{word}{again}, {self._worker.memory.n_voxels} voxels'
 
-    def _service(self, work):
-        async def serve(request, response):
+    def _service(self, work: Callable[[], str]) -> Callable[[Any, Any], Awaitable[Any]]:
+        async def serve(request: Any, response: Any) -> Any:
             future = self._threads.submit(work)
             future.add_done_callback(lambda _: self._done.trigger())
             await _Waiting(future)
@@ -158,10 +169,10 @@ class _Waiting:
 
     """
 
-    def __init__(self, future):
+    def __init__(self, future: Future[str]) -> None:
         self._future = future
 
-    def __await__(self):
+    def __await__(self) -> Generator[None, None, None]:
         """Yield to the executor until the future is done."""
         while not self._future.done():
             yield

@@ -1,14 +1,19 @@
 """The one thread that owns the map: takes messages, integrates, renders, publishes."""
 
+from __future__ import annotations
+
 from collections import Counter
+from collections.abc import Callable
 from concurrent.futures import Future
 import ctypes
 import logging
 import queue
 import threading
 import time
+from typing import Any, TYPE_CHECKING, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.core.frame.render import render_map
 from persem_ros.core.jit import Announcement
 from persem_ros.core.memory.evict import keep_near
@@ -18,12 +23,30 @@ from persem_ros.inputs.decode.serialized import Decoder
 from persem_ros.inputs.intake import LEGEND, TF, TRAJECTORY
 from persem_ros.inputs.live import BEHIND
 from persem_ros.inputs.sync.pairing import DEPTH, NO_DEPTH, QUEUE_FULL
+from persem_ros.inputs.sync.poses import PoseBuffer
 from persem_ros.pipeline import Pipeline
 from persem_ros.ros.checkpoints import CANNOT, Checkpoints
 from persem_ros.ros.images import NO_SOURCE
 from persem_ros.ros.losses import remedy
 from persem_ros.ros.mover import Mover
 from persem_ros.ros.refiner import Refiner
+
+if TYPE_CHECKING:
+    from persem_ros.core.frame.observe import Observations
+    from persem_ros.core.memory.voxel_memory import VoxelMemory
+    from persem_ros.frames import Frame
+    from persem_ros.inputs.live import LiveIntake
+    from persem_ros.ros.counters import Statistics
+    from persem_ros.ros.first_look import FirstLook
+    from persem_ros.ros.images import ImageOutputs
+    from persem_ros.ros.inbox import Inbox, Item
+    from persem_ros.ros.inputs import Input
+    from persem_ros.ros.map import MapOutputs
+    from persem_ros.settings.config import Config
+    from persem_ros.settings.legend import Legend
+
+Answer = TypeVar('Answer')
+Call = tuple[Future[Any], Callable[..., Any], tuple[Any, ...]]
 
 log = logging.getLogger(__name__)
 TICK = 0.05             # s between two looks at frames that wait for what does not come
@@ -46,14 +69,14 @@ class Worker(threading.Thread):
 
     Parameters
     ----------
-    config : persem_ros.settings.config.Config
-    statistics : persem_ros.ros.counters.Statistics
-    memory : persem_ros.core.memory.voxel_memory.VoxelMemory, optional
+    config : Config
+    statistics : Statistics
+    memory : VoxelMemory, optional
         A map to go on with.
 
     Attributes
     ----------
-    pipeline : persem_ros.pipeline.Pipeline
+    pipeline : Pipeline
     paused : bool
         True: frames are rendered and not integrated.
     ready : threading.Event
@@ -61,7 +84,8 @@ class Worker(threading.Thread):
 
     """
 
-    def __init__(self, config, statistics, memory=None):
+    def __init__(self, config: Config, statistics: Statistics,
+                 memory: VoxelMemory | None = None) -> None:
         """Make an empty map, or go on with *memory*."""
         super().__init__(name='worker', daemon=True)
         self.pipeline = Pipeline(config, memory)
@@ -72,36 +96,40 @@ class Worker(threading.Thread):
         self.refiner = Refiner(statistics, self._wake)
         self.checkpoints = Checkpoints(self._wake)
         self.mover = Mover(Decoder(), self._wake)
-        self.replaced = lambda old, new: None   # told that the map goes on in another memory
+        # Told that the map goes on in another memory.
+        self.replaced: Callable[[VoxelMemory, VoxelMemory], None] = lambda old, new: None
         self._watch_jumps = not config.topics.trajectory
-        self.renew = lambda: None       # gives the memory of an empty map, None: any
-        self._calls = queue.SimpleQueue()
+        # Gives the memory of an empty map, None: any.
+        self.renew: Callable[[], VoxelMemory | None] = lambda: None
+        self._calls: queue.SimpleQueue[Call] = queue.SimpleQueue()
         self._ending = False
         self._mapped = self._trimmed = self._looked = self._changed = time.monotonic()
-        self._stale = set()         # what the map's topics have not shown yet: 'map', 'changes'
+        # What the map's topics have not shown yet: 'map', 'changes'.
+        self._stale: set[str] = set()
         self._unrefined = memory is not None    # whether a full refinement would find anything
         self._shown = False         # an empty map is shown only after one that was not
         self._stamp = 0             # of the last frame
-        self._warned = {}           # reason -> when
-        self._reported = Counter()  # drops that were warned of
+        self._warned: dict[str, float] = {}         # by reason: when
+        self._reported: Counter[str] = Counter()    # drops that were warned of
 
-    def connect(self, inbox, intake, images, maps, inputs, first_look):
+    def connect(self, inbox: Inbox, intake: LiveIntake, images: dict[str, ImageOutputs],
+                maps: MapOutputs, inputs: list[Input], first_look: FirstLook) -> None:
         """
         Say where messages come from and results go, before the start.
 
         Parameters
         ----------
-        inbox : persem_ros.ros.inbox.Inbox
+        inbox : Inbox
             Messages.
-        intake : persem_ros.inputs.live.LiveIntake
+        intake : LiveIntake
             Messages to frames.
-        images : dict of str to persem_ros.ros.images.ImageOutputs
+        images : dict
             Refined images, by camera.
-        maps : persem_ros.ros.map.MapOutputs
+        maps : MapOutputs
             The map.
-        inputs : list of persem_ros.ros.inputs.Input
+        inputs : list
             The topics, for warnings that name them.
-        first_look : persem_ros.ros.first_look.FirstLook
+        first_look : FirstLook
             Checks what comes first.
 
         """
@@ -109,18 +137,18 @@ class Worker(threading.Thread):
         self.inputs, self.first_look = inputs, first_look
 
     @property
-    def config(self):
+    def config(self) -> Config:
         """Return the settings in force."""
         return self.pipeline.config
 
     @property
-    def memory(self):
+    def memory(self) -> VoxelMemory:
         """Return the map."""
         return self.pipeline.memory
 
-    def call(self, function, *arguments):
-        """Have the worker call function(*arguments) between two frames; return a Future."""
-        future = Future()
+    def call(self, function: Callable[..., Answer], *arguments: Any) -> Future[Answer]:
+        """Have the worker call function(*arguments) between two frames."""
+        future: Future[Answer] = Future()
         if self._ending:
             future.set_exception(PersemError('the node is shutting down'))
         else:
@@ -128,11 +156,12 @@ class Worker(threading.Thread):
             self._wake()
         return future
 
-    def stop(self):
+    def stop(self) -> None:
         """End the thread after the frame that it is at."""
         self._ending = True
         self._wake()
         while self.is_alive() and not self.ready.is_set():      # compiling takes a minute
+            assert self.ident is not None       # it is alive
             ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(self.ident),
                                                        ctypes.py_object(_Stopped))
             self.join(0.1)
@@ -145,7 +174,7 @@ class Worker(threading.Thread):
         self.mover.close()
         self.map.close()
 
-    def run(self):
+    def run(self) -> None:
         """Work until stopped; whatever goes wrong is logged and counted."""
         try:
             geometry = self.config.refine.method == 'geometry'
@@ -160,14 +189,14 @@ class Worker(threading.Thread):
         except _Stopped:
             pass
 
-    def configure(self, config):
+    def configure(self, config: Config) -> None:
         """Go on with other settings, between two frames."""
         self._unrefined |= config.refine != self.config.refine
         self.pipeline.config = config
         self.intake.configure(config)
         self.inbox.configure(config.sync)
 
-    def replace(self, memory, legend=None):
+    def replace(self, memory: VoxelMemory | None, legend: Legend | None = None) -> None:
         """Go on with another map and its classes; None: an empty one, the classes as they are."""
         if legend is not None and not self.config.labels.legend:
             self.intake.names = self.intake.names.under(self.config, legend)
@@ -177,23 +206,23 @@ class Worker(threading.Thread):
         self._stale = {'map', 'changes'}
         self._unrefined = memory is not None
 
-    def reset(self):
+    def reset(self) -> int:
         """Forget the map and whatever waits; return how many voxels there were."""
         count = self.memory.n_voxels
         self._begin_anew()
         self.intake.clear()
         return count
 
-    def _begin_anew(self):
+    def _begin_anew(self) -> None:
         """Go on with an empty map; a file that is attached is moved aside."""
         self.checkpoints.settle()
         self.replace(self.renew())
 
-    def refined(self):
+    def refined(self) -> None:
         """Show the map anew: labels have changed."""
         self._stale |= {'map', 'changes'}
 
-    def jumped(self):
+    def jumped(self) -> None:
         """Time went back: a new session begins, or a new map."""
         if self.config.map.on_time_jump == 'reset':
             self._begin_anew()
@@ -203,7 +232,7 @@ class Worker(threading.Thread):
                     'and poses are cleared, the map is %s (map.on_time_jump)',
                     'reset' if self.config.map.on_time_jump == 'reset' else 'kept')
 
-    def complain(self, reason, sentence):
+    def complain(self, reason: str, sentence: str) -> None:
         """Log a warning, once in a while for each reason."""
         self.statistics.error = sentence
         now = time.monotonic()
@@ -211,11 +240,11 @@ class Worker(threading.Thread):
             self._warned[reason] = now
             log.warning('%s (%d so far)', sentence, self.statistics.dropped[reason])
 
-    def lost(self, item):
+    def lost(self, item: Item) -> None:
         """Count a message that the inbox had no room for; from any thread."""
         self.call(self._lost, item, self.ready.is_set())
 
-    def _lost(self, item, ready):
+    def _lost(self, item: Item, ready: bool) -> None:
         if not ready:
             self.statistics.dropped[NOT_READY] += 1
             self.complain(NOT_READY, f'{item.input.listened}: images came while kernels were '
@@ -228,15 +257,15 @@ class Worker(threading.Thread):
                       'faster')
 
     @property
-    def _position(self):
+    def _position(self) -> NDArray[np.float64]:
         """Return where the camera was last, metres in the map frame."""
         frames = self.memory.frames
         return frames[-1].T_map_sensor[:3, 3] if frames else np.array(self.memory.origin)
 
-    def _wake(self):
+    def _wake(self) -> None:
         self.inbox.wake()
 
-    def _guarded(self, function, *arguments):
+    def _guarded(self, function: Callable[..., object], *arguments: Any) -> None:
         """Call a function; the node outlives whatever it raises."""
         try:
             function(*arguments)
@@ -248,7 +277,7 @@ class Worker(threading.Thread):
             self.complain(reason, f'{reason}: {error}')
             log.debug('traceback', exc_info=True)
 
-    def _step(self, item):
+    def _step(self, item: Item | None) -> None:
         """Take one message, or look at what waits; then whatever else is due."""
         now = time.monotonic_ns() if item is None else item.arrival
         if item is not None:
@@ -271,12 +300,12 @@ class Worker(threading.Thread):
             self._unrefined = False
         self._publish_map()
 
-    def _skip(self):
+    def _skip(self) -> None:
         """Go on with the newest label image that waits: those before it are old."""
         found = self.inbox.skip(self.intake.offset, round(self.config.sync.tolerance * 1e9))
         self.intake.skip(*found or (0, 0))
 
-    def _move(self):
+    def _move(self) -> None:
         """Go on in a map that has moved, when it is there."""
         moved = self.mover.step(self.memory, self.config)
         if moved is not None:
@@ -284,22 +313,23 @@ class Worker(threading.Thread):
             self.pipeline = Pipeline(self.config, moved)
             self._stale, self._unrefined = {'map', 'changes'}, True
 
-    def _keep_all(self):
+    def _keep_all(self) -> None:
         """Drop no observation where a corrected trajectory may have to move it."""
         if self.config.topics.trajectory:
             self.memory.keeps_all = True        # max_history bounds what a refinement reads
 
-    def _look_for_jumps(self, item):
+    def _look_for_jumps(self, item: Item) -> None:
         """Say once that a localisation has corrected itself, and what to do."""
         least = max(JUMP, self.config.memory.voxel_size)
         for buffer in item.input.takers:
+            assert isinstance(buffer, PoseBuffer)       # it listens to /tf
             said = buffer.jumped(least)
             if said and self._watch_jumps:
                 self._watch_jumps = False
                 log.warning('%s; topics.trajectory takes the corrected path (nav_msgs/Path) and '
                             'moves the map, persem map move does so afterwards', said)
 
-    def _take(self, item):
+    def _take(self, item: Item) -> None:
         if item.input.role == TRAJECTORY:
             self.mover.take(item.data)
             return
@@ -313,7 +343,7 @@ class Worker(threading.Thread):
             self.first_look.take(item)
             self.first_look.look(self.config, self.inputs)
 
-    def _frame(self, frame, now):
+    def _frame(self, frame: Frame, now: int) -> None:
         """Integrate one frame, publish what is wanted of it."""
         if self._overfull():
             self.statistics.dropped[CANNOT] += 1
@@ -335,13 +365,13 @@ class Worker(threading.Thread):
             self._unrefined = True
         self.statistics.frame((time.monotonic_ns() - now) / 1e9)
 
-    def _overfull(self):
+    def _overfull(self) -> bool:
         """Return whether memory has no room for what the map's file does not take."""
         bound = self.config.memory.max_voxels
         return self.memory.pager is not None and self.checkpoints.failing and \
             0 < 2 * bound < self.memory.n_voxels
 
-    def _forget_far(self):
+    def _forget_far(self) -> None:
         """Keep the map within memory.keep_radius and memory.max_voxels, between refinements."""
         bounds = self.config.memory
         if self.refiner.busy or not self.memory.frames or \
@@ -352,7 +382,8 @@ class Worker(threading.Thread):
             self._trimmed = time.monotonic() - TRIM * (0 < self.memory.pager.let_go(
                 self._position, bounds.max_voxels, bounds.keep_radius, AT_ONCE))
             return
-        gone = keep_near(self.memory, self._position, bounds.keep_radius, bounds.max_voxels,
+        x, y, z = self._position.tolist()
+        gone = keep_near(self.memory, (x, y, z), bounds.keep_radius, bounds.max_voxels,
                          AT_ONCE)
         if not gone:
             self._trimmed = time.monotonic()
@@ -360,19 +391,20 @@ class Worker(threading.Thread):
             self.statistics.forgotten += gone
             self._stale |= {'map', 'changes'}
 
-    def _sources(self, frame, observations):
-        """Return which step decided each pixel of the depth grid, uint8."""
+    def _sources(self, frame: Frame, observations: Observations | None) -> NDArray[np.uint8]:
+        """Return which step decided each pixel of the depth grid."""
         voxels = self.pipeline.voxel_image(frame, observations)
         image = render_map(self.memory, voxels, source=True)
         return np.where(voxels < 0, NO_SOURCE, image).astype(np.uint8)
 
-    def _answer(self, future, function, arguments):
+    def _answer(self, future: Future[Any], function: Callable[..., Any],
+                arguments: tuple[Any, ...]) -> None:
         try:
             future.set_result(function(*arguments))
         except Exception as error:      # noqa: B902  for whoever asked
             future.set_exception(error)
 
-    def _report(self, item):
+    def _report(self, item: Item | None) -> None:
         """Warn of what was dropped since the last time."""
         dropped = self.statistics.losses()
         if dropped.total() == self._reported.total():
@@ -383,7 +415,7 @@ class Worker(threading.Thread):
                 self._warn(reason, item)
         self._reported = dropped
 
-    def _warn(self, reason, item):
+    def _warn(self, reason: str, item: Item | None) -> None:
         """Warn of messages dropped for a reason; *item* came last."""
         role = reason.partition(':')[0] if ':' in reason else 'labels'
         names = [one.listened for one in self.inputs if one.role == role] or [role]
@@ -396,13 +428,13 @@ class Worker(threading.Thread):
         self.complain(reason, f'{names[0]}{at}: dropped, {reason}'
                       + (f'; {example}' if example and example != reason else ''))
 
-    def _overloaded(self):
+    def _overloaded(self) -> str:
         """Return what to do where frames come faster than they are mapped."""
         return (f'frames come faster than they are mapped ({self.statistics.frame_rate():.1f} Hz '
                 'now), those that waited for long are left out so that images and map stay '
                 'young; --set memory.stride=2 or a larger memory.voxel_size makes a frame cheaper')
 
-    def _lost_depth(self):
+    def _lost_depth(self) -> str:
         """Return what the numbers of label and depth images say, '' where they are equal."""
         few = self.intake.few_depths()
         depth = next((one for one in self.inputs if one.role == DEPTH and one.subscriptions), None)
@@ -411,7 +443,7 @@ class Worker(threading.Thread):
         return (f'; {few[0]} depth images came for {few[1]} label images, the others were lost '
                 f'on the way: {remedy(depth)}')
 
-    def _publish_map(self):
+    def _publish_map(self) -> None:
         """Hand the map to its publishers when somebody listens and it is time."""
         now = time.monotonic()
         if self.map.busy or now - self._looked < LOOK:
