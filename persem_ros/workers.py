@@ -21,6 +21,7 @@ from persem_ros.errors import PersemError
 from tqdm import tqdm
 
 WORKER_BYTES = 1.5e9        # free memory that a worker should find
+MOST = 1 << 16              # processes, where their number is not bounded by that of the tasks
 PATIENCE = 10               # seconds for a scheduler to answer
 SAFE = 'tls', 'wss'         # protocols whose messages come from whom they claim to
 _done: Any = None           # units of work that all workers have done, in shared memory
@@ -38,53 +39,106 @@ Results = Generator[tuple[int, Any], None, None]
 Work = Callable[[Any, Any], Any]        # of a task, and of what is called after each unit or None
 
 
-def results(work: Work, tasks: Sequence[Task], workers: int = 0, scheduler: str = '',
-            units: Sequence[int] | None = None, what: str = 'working',
-            unit: str = 'frames') -> Iterator[tuple[int, Any]]:
+class Crew:
     """
-    Yield (place in *tasks*, what *work* returned) as tasks are finished.
+    Who does the work, for one kind of it after another: processes are started once.
 
     Parameters
     ----------
-    work : function of a module
-        work(task, tick) does one task; tick(), where it is not None, counts a unit.
-    tasks : sequence of Task
-        All that they depend on; they and what they give can be pickled.
     workers : int
         Processes; 0: one per core, as many as the memory allows. One works in this process,
         with all threads; several have one thread each.
     scheduler : str
         Address of a dask scheduler; '': this machine.
-    units : sequence of int, optional
-        How many units each task is, for the progress bar.
-    what, unit : str
-        Words of that bar.
-
-    Raises
-    ------
-    PersemError
-        After all tasks have come to an end, when some failed; at once, when there is no
-        scheduler or a worker died.
 
     """
-    units = list(units or [1] * len(tasks))
-    failed: list[str] = []
-    with _bar(units, what, unit) as bar:
-        if scheduler:
-            found = _on_cluster(work, tasks, scheduler, units, bar)
-        elif _workers(workers, len(tasks)) > 1:
-            found = _in_processes(work, tasks, _workers(workers, len(tasks)), bar)
-        else:
-            found = _here(work, tasks, bar)
-        with closing(found):        # whoever is told no more of it may stop listening
-            for place, result in found:
-                if isinstance(result, Refused):
-                    failed.append(result)
-                else:
-                    yield place, result
-    if failed:
-        more = f' ({len(failed)} of {len(tasks)} failed)' if len(tasks) > 1 else ''
-        raise PersemError(f'{failed[0]}{more}')
+
+    def __init__(self, workers: int = 0, scheduler: str = '') -> None:
+        self._workers, self._scheduler = workers, scheduler
+        self._pool: ProcessPoolExecutor | None = None
+        self._done: Any = None          # the counter of the processes
+
+    def __enter__(self) -> Crew:
+        """Return this."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End the processes, whatever they do."""
+        if self._pool is None:
+            return
+        children = multiprocessing.active_children()
+        self._pool.shutdown(wait=False, cancel_futures=True)
+        for child in children:
+            child.terminate()
+        for child in children:
+            child.join()
+
+    def results(self, work: Work, tasks: Sequence[Task], units: Sequence[int] | None = None,
+                what: str = 'working', unit: str = 'frames') -> Iterator[tuple[int, Any]]:
+        """
+        Yield (place in *tasks*, what *work* returned) as tasks are finished.
+
+        Parameters
+        ----------
+        work : function of a module
+            work(task, tick) does one task; tick(), where it is not None, counts a unit.
+        tasks : sequence of Task
+            All that they depend on; they and what they give can be pickled.
+        units : sequence of int, optional
+            How many units each task is, for the progress bar.
+        what, unit : str
+            Words of that bar.
+
+        Raises
+        ------
+        PersemError
+            After all tasks have come to an end, when some failed; at once, when there is no
+            scheduler or a worker died.
+
+        """
+        units = list(units or [1] * len(tasks))
+        failed: list[str] = []
+        with _bar(units, what, unit) as bar:
+            if self._scheduler:
+                found = _on_cluster(work, tasks, self._scheduler, units, bar)
+            elif _number(self._workers, len(tasks)) > 1:
+                found = self._in_processes(work, tasks, bar)
+            else:
+                found = _here(work, tasks, bar)
+            with closing(found):        # whoever is told no more of it may stop listening
+                for place, result in found:
+                    if isinstance(result, Refused):
+                        failed.append(result)
+                    else:
+                        yield place, result
+        if failed:
+            more = f' ({len(failed)} of {len(tasks)} failed)' if len(tasks) > 1 else ''
+            raise PersemError(f'{failed[0]}{more}')
+
+    def _in_processes(self, work: Work, tasks: Sequence[Task], bar: Any) -> Results:
+        """Yield results of processes that share nothing with this one but a counter."""
+        if self._pool is None:
+            context = multiprocessing.get_context('spawn')      # a memory must not be forked
+            self._done = context.Value('q', 0)
+            self._pool = ProcessPoolExecutor(_number(self._workers, MOST), context,
+                                             _start_worker, (self._done,))
+        try:
+            with _following(self._done, bar):
+                places = {self._pool.submit(attempt_alone, work, task): k
+                          for k, task in enumerate(tasks)}
+                for future in as_completed(places):
+                    yield places[future], future.result()
+        except BrokenProcessPool:
+            raise PersemError('a worker died, probably for want of memory; fewer --workers need '
+                              'less, and what is finished is not computed again') from None
+
+
+def results(work: Work, tasks: Sequence[Task], workers: int = 0, scheduler: str = '',
+            units: Sequence[int] | None = None, what: str = 'working',
+            unit: str = 'frames') -> Iterator[tuple[int, Any]]:
+    """Yield what a Crew gives that has one kind of work only."""
+    with Crew(workers, scheduler) as crew:
+        yield from crew.results(work, tasks, units, what, unit)
 
 
 class Refused(str):
@@ -114,29 +168,6 @@ def one_thread() -> None:
 def _here(work: Work, tasks: Sequence[Task], bar: Any) -> Results:
     for place, task in enumerate(tasks):
         yield place, attempt(work, task, bar.update)
-
-
-def _in_processes(work: Work, tasks: Sequence[Task], workers: int,
-                  bar: Any) -> Results:
-    """Yield results of processes that share nothing with this one but a counter."""
-    context = multiprocessing.get_context('spawn')      # a memory must not be forked
-    done = context.Value('q', 0)
-    pool = ProcessPoolExecutor(workers, context, _start_worker, (done,))
-    try:
-        with _following(done, bar):
-            places = {pool.submit(attempt_alone, work, task): k for k, task in enumerate(tasks)}
-            for future in as_completed(places):
-                yield places[future], future.result()
-    except BrokenProcessPool:
-        raise PersemError('a worker died, probably for want of memory; fewer --workers need '
-                          'less, and what is finished is not computed again') from None
-    finally:
-        children = multiprocessing.active_children()
-        pool.shutdown(wait=False, cancel_futures=True)
-        for child in children:
-            child.terminate()
-        for child in children:
-            child.join()
 
 
 def _on_cluster(work: Work, tasks: Sequence[Task], address: str, units: Sequence[int],
@@ -205,7 +236,7 @@ def _check_safe(address: str) -> None:
                           'docs/scale.md) or an address of this machine, tcp://127.0.0.1:8786')
 
 
-def _workers(asked: int, tasks: int) -> int:
+def _number(asked: int, tasks: int) -> int:
     """Return the number of processes for some tasks."""
     most = asked or len(os.sched_getaffinity(0))
     if not asked:
@@ -239,11 +270,11 @@ def _tick() -> None:
 @contextmanager
 def _following(done: Any, bar: Any) -> Iterator[None]:
     """Let the progress bar follow the workers' counter."""
-    stop = threading.Event()
+    stop, before = threading.Event(), done.value
 
     def follow() -> None:
         while not stop.wait(0.2):
-            bar.update(done.value - bar.n)
+            bar.update(done.value - before - bar.n)
     thread = threading.Thread(target=follow, daemon=True)
     thread.start()
     try:

@@ -12,11 +12,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros import workers
 from persem_ros.errors import PersemError
 from persem_ros.evaluate.work.manifest import changes
 from persem_ros.outputs.files import replacing, write_json
 from persem_ros.outputs.results import rundir
+from persem_ros.workers import Crew
 
 log = logging.getLogger(__name__)
 WORK = '.persem-build'      # in the folder: what is removed when the map is whole
@@ -32,14 +32,14 @@ class Folder:
     Parameters
     ----------
     out : Path
-    workers, scheduler
-        As of persem_ros.workers.results.
+    crew : persem_ros.workers.Crew
+        Who does the work.
 
     """
 
-    def __init__(self, out: Path, processes: int, scheduler: str) -> None:
+    def __init__(self, out: Path, crew: Crew) -> None:
         self.out, self.work = out, out / WORK
-        self._processes, self._scheduler = processes, scheduler
+        self._crew = crew
 
     def path(self, kind: str, name: str) -> Path:
         """Return where a piece of the work goes, absolute: workers may be elsewhere."""
@@ -57,9 +57,9 @@ class Folder:
         tasks : dict of str to task
             By names, of which notes are made.
         work : function
-            As of workers.results; gives what JSON has.
+            As of Crew.results; gives what JSON has.
         units, what, unit
-            As of workers.results.
+            As of Crew.results.
 
         """
         notes = {name: self.work / kind / f'{name}.json' for name in tasks}
@@ -70,9 +70,9 @@ class Folder:
                      len(tasks))
         size = dict(zip(tasks, units))
         (self.work / kind).mkdir(exist_ok=True)
-        for place, result in workers.results(
-                work, [tasks[name] for name in missing], self._processes, self._scheduler,
-                [size[name] for name in missing], what, unit):
+        for place, result in self._crew.results(
+                work, [tasks[name] for name in missing], [size[name] for name in missing], what,
+                unit):
             write_json(notes[missing[place]], result)
             found[missing[place]] = result
         return {name: result for name, result in found.items() if result is not None}
@@ -98,9 +98,9 @@ def opened(out: Path | str, identity: dict[str, Any], force: bool = False,
         raise PersemError(f'{path} is a file; give the name of a folder with --out')
     try:
         path.mkdir(parents=True, exist_ok=True)
-        with rundir.locked(path):
+        with rundir.locked(path), Crew(processes, scheduler) as crew:
             _begin(path, identity, force)
-            yield Folder(path, processes, scheduler)
+            yield Folder(path, crew)
     except OSError as error:
         raise PersemError(f'cannot write to {path}: {error.strerror or error}') from error
 

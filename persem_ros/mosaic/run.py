@@ -47,7 +47,7 @@ def build(paths: Sequence[str | Path], out: Path | str, config: Config, tile: fl
     tile : float
         Metres along the edge of a tile, rounded up to whole blocks.
     workers, scheduler
-        As of persem_ros.workers.results.
+        As of persem_ros.workers.Crew.
     force : bool
         Give up what another build left in the folder.
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 import json
 import random
 
+from persem_ros import workers
 from persem_ros.cli import main
 from persem_ros.errors import PersemError
 from persem_ros.evaluate.work import manifest
@@ -73,15 +74,15 @@ def test_other_settings(recordings, tmp_path, values):
 
 def test_any_order_of_completion(recordings, expected, tmp_path, monkeypatch):
     order = random.Random(7)
-    results = run.folders.workers.results
+    results = workers.Crew.results
 
-    def shuffled(work, tasks, *options):
+    def shuffled(self, work, tasks, *options):
         found = list(enumerate(tasks))
         order.shuffle(found)
         for (place, _), (_, result) in zip(found, sorted(
-                results(work, [task for _, task in found], *options))):
+                results(self, work, [task for _, task in found], *options))):
             yield place, result
-    monkeypatch.setattr(run.folders.workers, 'results', shuffled)
+    monkeypatch.setattr(workers.Crew, 'results', shuffled)
     assert built(recordings, tmp_path) == expected
 
 

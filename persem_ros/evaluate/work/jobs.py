@@ -25,7 +25,7 @@ def results(
     tasks : sequence of task.Task
         The work.
     workers, scheduler
-        As of persem_ros.workers.results, whose refusals pass.
+        As of persem_ros.workers.Crew, whose refusals pass.
     frames : sequence of int, optional
         Frames to be read by each task, for the progress bar.
 
