@@ -172,6 +172,7 @@ def test_a_folder_in_use(recordings, tmp_path, capsys):
     (('--tile', '1e300'), 'expected metres, such as --tile 64'),
     (('--set', 'refine.method=geometry'), 'build with --set refine.method=persem'),
     (('--set', 'map.path=other.persem'), 'join maps with persem map merge'),
+    (('--set', 'memory.clear_after=3'), '--set memory.clear_after=0, or use persem replay'),
     (('--scheduler', 'tcp://10.0.0.1:8786'), 'without TLS anybody on the network'),
     (('--scheduler', '10.0.0.1'), 'without TLS anybody on the network')])
 def test_options_that_no_build_can_follow(recordings, tmp_path, capsys, words, said):
