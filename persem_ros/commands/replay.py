@@ -117,11 +117,14 @@ def summary(result: dict[str, Any], without_truth: str = '', reasons: Any = None
         A sentence for each reason why something was dropped.
 
     """
+    from persem_ros.inputs.sync.pairing import UNUSED
     frames = result['frames']
-    dropped = sum(frames['dropped'].values())
-    lines = [f'{frames["used"]} frames used, {dropped} dropped; {result["voxels"]} voxels, '
-             f'{result["observations"]} observations']
-    for reason, n in sorted(frames['dropped'].items()):
+    dropped = {reason: n for reason, n in frames['dropped'].items() if reason != UNUSED}
+    lines = [f'{frames["used"]} frames used, {sum(dropped.values())} dropped; {result["voxels"]} '
+             f'voxels, {result["observations"]} observations']
+    if unused := frames['dropped'].get(UNUSED):
+        lines.append(f'  {unused} depth images came without labels, which is no loss')
+    for reason, n in sorted(dropped.items()):
         why = (reasons or {}).get(reason, '')
         lines.append(f'  {n} dropped: {reason}' + (f'; {why}' if why and why != reason else ''))
     lines += ['', f'{"method":<16}{"PA %":>8}{"mIoU %":>8}{"flicker %":>11}']

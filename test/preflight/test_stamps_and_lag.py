@@ -125,6 +125,14 @@ def test_distances_are_those_of_a_plain_search(labels, depth):
         assert abs(off) == min(abs(a - d) for d in depth) and a - off in depth
 
 
+def test_depth_faster_than_labels_is_no_loss(tmp_path, capsys):
+    path = written(tmp_path / 'bag', every=2)
+    assert main(['replay', str(path), '--out', str(tmp_path / 'out')]) == 0
+    said = capsys.readouterr().out
+    assert '10 frames used, 0 dropped' in said
+    assert '10 depth images came without labels, which is no loss' in said
+
+
 def test_zero_stamps_are_named(tmp_path):
     with RecordingWriter(tmp_path / 'bag') as out:
         for i in range(5):
