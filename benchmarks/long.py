@@ -21,13 +21,14 @@ CHECKPOINT = 100    # frames between checkpoints
 
 
 def survey(voxels):
-    """Yield the Observations of frames in rows, each beside the last, two voxels a column."""
+    """Yield the Observations of frames in rows, back and forth, two voxels a column."""
     rng, columns = np.random.default_rng(1), int((voxels / 2) ** 0.5)
     x, y, z = (a.reshape(-1) for a in np.meshgrid(
         np.arange(SIDE), np.arange(SIDE), np.arange(2), indexing='ij'))
     patch, stamp = np.stack([x, y, z], axis=1).astype(np.int32), 0
-    for row in range(0, columns, SIDE // 2):
-        for at in range(0, columns, STEP):
+    for turn, row in enumerate(range(0, columns, SIDE // 2)):
+        way = range(0, columns, STEP)
+        for at in way[::-1] if turn % 2 else way:
             labels = ((patch[:, 0] + at) // 32 + (patch[:, 1] + row) // 32) % 16
             noisy = rng.random(len(patch)) < 0.1
             labels[noisy] = rng.integers(0, 16, noisy.sum())
@@ -50,12 +51,12 @@ def main():
     parser.add_argument('--bound', type=float, default=1e6, help='memory.max_voxels; 0: none')
     args = parser.parse_args()
     warm_up()
-    bound, worst, config = int(args.bound), {}, Config()
+    bound, times, config = int(args.bound), {}, Config()
 
     def timed(name, function, *arguments):
         begin = time.perf_counter()
         result = function(*arguments)
-        worst[name] = max(worst.get(name, 0), time.perf_counter() - begin)
+        times.setdefault(name, []).append(1e3 * (time.perf_counter() - begin))
         return result
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, 'map.persem')
@@ -80,8 +81,9 @@ def main():
               f'{bound}: {(k + 1) / seconds:.1f} frames/s with checkpoints; at most {most} voxels '
               f'in memory, RSS {rss():.0f} MB')
         print(f'    file {path.stat().st_size / memory.n_observations:.1f} bytes an observation')
-        for name, longest in worst.items():
-            print(f'    worst {name}: {1e3 * longest:.1f} ms')
+        for name, took in times.items():
+            print(f'    {name}: median {np.median(took):.1f} ms, 99 % '
+                  f'{np.percentile(took, 99):.1f} ms, worst {max(took):.1f} ms')
         begin = time.perf_counter()
         visited = sum(refine_all(memory, config.refine, bound))
         print(f'    full refinement of the file: {visited} voxels in '

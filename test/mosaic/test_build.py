@@ -171,6 +171,7 @@ def test_a_folder_in_use(recordings, tmp_path, capsys):
     (('--tile', 'nan'), '--tile nan: expected metres above 0'),
     (('--tile', '1e300'), 'expected metres, such as --tile 64'),
     (('--set', 'refine.method=geometry'), 'build with --set refine.method=persem'),
+    (('--set', 'memory.clear_after=3'), 'needs the frames one after the other'),
     (('--set', 'map.path=other.persem'), 'join maps with persem map merge'),
     (('--set', 'memory.clear_after=3'), '--set memory.clear_after=0, or use persem replay'),
     (('--scheduler', 'tcp://10.0.0.1:8786'), 'without TLS anybody on the network'),

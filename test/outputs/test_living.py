@@ -116,6 +116,23 @@ def test_a_run_that_paged_equals_one_that_never_did(tmp_path_factory, seed, boun
     assert plain(store.load(path).saved) == plain(straight)
 
 
+def test_the_file_is_not_asked_twice_for_what_it_does_not_have(tmp_path, monkeypatch):
+    living, pager = opened(tmp_path / 'map.persem')
+    asked, read = [], living.read
+    monkeypatch.setattr(living, 'read', lambda index: (asked.append(len(index)), read(index))[1])
+    one = flight(2, 1)[0]
+    for _ in range(2):
+        pager.need_voxels(one.voxels)
+    assert len(asked) == 1
+    pager.memory.add(one)
+    pager.save()
+    pager.let_go((1e6, 0.0, 0.0), 0, 1.0)       # what was not there then is now
+    assert pager.memory.n_voxels == 0
+    pager.need_voxels(one.voxels)
+    assert len(asked) == 2 and pager.memory.n_voxels == len(one.voxels)
+    living.close()
+
+
 def at(frames):
     """Return what a map holds after some frames, without refinement."""
     memory = VoxelMemory(0.5)

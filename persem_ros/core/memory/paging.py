@@ -21,6 +21,8 @@ from persem_ros.core.memory.pools import CLOCK, sparse_zeros
 if TYPE_CHECKING:
     from persem_ros.core.memory.voxel_memory import VoxelMemory
 
+KNOWN = 1 << 17         # blocks, as many as a pager remembers that the store does not have them
+
 
 class Backing(Protocol):
     """What holds the whole map."""
@@ -59,6 +61,7 @@ class Pager:
         self.memory, self.backing = memory, backing
         memory.pager = self
         self.moment = 0
+        self._absent: set[tuple[int, ...]] = set()  # blocks that the store is known not to have
         self._ringed = sparse_zeros(0, np.uint8)    # by block number: all blocks around are here
 
     def need(self, index: NDArray[np.int32]) -> None:
@@ -66,7 +69,13 @@ class Pager:
         memory = self.memory
         index = np.unique(index, axis=0)
         numbers = block_numbers(memory, index)
-        found = self.backing.read(index[numbers < 0])
+        keys = [key for key in map(tuple, index[numbers < 0].tolist()) if key not in self._absent]
+        if not keys:
+            return
+        found = self.backing.read(np.array(keys, np.int32))
+        if len(self._absent) > KNOWN:
+            self._absent = set()
+        self._absent |= set(keys) - set(map(tuple, found.block_index.tolist()))
         if not len(found.block_index):
             return
         memory.m.used[CLOCK] += 1
@@ -126,6 +135,7 @@ class Pager:
         numbers = farthest(memory, clean, position, radius, max_voxels, at_once)
         near = blocks['near'][numbers].reshape(-1)
         self._room()[near[near > 0].astype(np.int64) - 1] = 0
+        self._absent -= set(map(tuple, blocks['index'][numbers].tolist()))
         return leave(memory, numbers, kept=True)
 
     @property

@@ -74,6 +74,7 @@ class LivingMap:
         self._lock = WriterLock(path)
         try:
             self._begin()
+            self._checked([])       # its kernel is there before the first frame waits for it
         except BaseException:
             self._lock.close()
             raise
