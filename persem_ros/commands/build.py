@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, TYPE_CHECKING
 
-from persem_ros.commands import add_settings
+from persem_ros.commands.options import add_settings
 
 if TYPE_CHECKING:
     from argparse import _SubParsersAction, Namespace
@@ -44,7 +44,7 @@ def run(args: Namespace) -> None:
 
     from persem_ros.mosaic.run import build
     from persem_ros.settings import config_file
-    config: Any = config_file.from_args(args.config, args.set_items)
+    config = config_file.from_args(args.config, args.set_items)
     result = build(args.bags, args.out, config, args.tile, args.workers, args.scheduler,
                    args.force)
     frames, dropped = result['frames']['used'], sum(result['frames']['dropped'].values())

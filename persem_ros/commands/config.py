@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, TYPE_CHECKING
 
-from persem_ros.commands import add_settings
+from persem_ros.commands.options import add_settings
 
 if TYPE_CHECKING:
     from argparse import _SubParsersAction, Namespace

@@ -186,7 +186,8 @@ def _add_writing(parser: ArgumentParser) -> None:
 def run_frames(args: Namespace) -> None:
     """Convert folders of files."""
     _bound(args)
-    from persem_ros.convert.frames.convert import convert_frames, FramesOptions
+    from persem_ros.convert.frames.convert import convert_frames
+    from persem_ros.convert.frames.layout import FramesOptions
     options = FramesOptions(
         **{name: getattr(args, name) for name in (
             'labels', 'depth', 'pose', 'color', 'truth', 'intrinsics', 'depth_unit', 'stamps',
@@ -244,8 +245,8 @@ def _legend(args: Namespace) -> Legend | None:
     return load_legend(args.legend) if args.legend else None
 
 
-def _integers(flag: str, text: str) -> tuple[int, int] | None:
-    """Return 'N,N' as a tuple of integers."""
+def _integers(flag: str, text: str) -> tuple[int, ...]:
+    """Return 'N,N' as integers."""
     from persem_ros.errors import PersemError
     try:
         return tuple(int(word) for word in text.split(',') if word.strip())

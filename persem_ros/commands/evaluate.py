@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any, TYPE_CHECKING
 
-from persem_ros.commands import add_excerpt, add_settings
+from persem_ros.commands.options import add_evaluation, methods_of
 
 if TYPE_CHECKING:
-    from argparse import _SubParsersAction, ArgumentParser, Namespace
+    from argparse import _SubParsersAction, Namespace
 
 
 def add_parser(subparsers: _SubParsersAction[Any]) -> None:
@@ -26,38 +26,7 @@ def add_parser(subparsers: _SubParsersAction[Any]) -> None:
     parser.add_argument('--methods', metavar='A,B', default='all',
                         help='methods to be compared (default: all twelve)')
     add_evaluation(parser)
-    parser.add_argument('--no-figures', action='store_true', help='tables only')
-    add_settings(parser)
     parser.set_defaults(run=run)
-
-
-def add_evaluation(parser: ArgumentParser) -> None:
-    """Add what persem evaluate and persem sweep share."""
-    parser.add_argument('--labels', metavar='NAME', default='',
-                        help='taxonomy: a shipped legend or a YAML file; ids that it does not '
-                             'have, or calls ignored, do not count (default: all ids count)')
-    parser.add_argument('--grouped', action='store_true',
-                        help="count a group of the taxonomy as one class (the recording's own "
-                             'legend without --labels)')
-    parser.add_argument('--no-dynamic', action='store_true',
-                        help='leave classes of things that move out of the measures')
-    parser.add_argument('--predictions', metavar='DIR', default='',
-                        help='label images that take the place of the recorded ones, named by '
-                             'their stamps; with several recordings one folder each below DIR')
-    parser.add_argument('--workers', metavar='N', type=int, default=0,
-                        help='processes side by side (default: one per core)')
-    parser.add_argument('--scheduler', metavar='ADDRESS', default='',
-                        help='let a dask cluster do the work, for example tls://host:8786')
-    add_excerpt(parser)
-    parser.add_argument('--force', action='store_true',
-                        help='give up results of other settings in DIR')
-
-
-def methods_of(text: str) -> tuple[str, ...]:
-    """Return the methods that an option names."""
-    from persem_ros.settings.config import IMAGE_METHODS, METHODS
-    return IMAGE_METHODS + METHODS if text == 'all' else \
-        tuple(word.strip() for word in text.split(',') if word.strip())
 
 
 def run(args: Namespace) -> None:
@@ -65,7 +34,7 @@ def run(args: Namespace) -> None:
     from contextlib import nullcontext
     from tempfile import TemporaryDirectory
 
-    from persem_ros.commands import excerpt_of
+    from persem_ros.commands.options import excerpt_of
     from persem_ros.evaluate.run import evaluate
     from persem_ros.evaluate.show.paper_tables import tables
     from persem_ros.evaluate.show.table import console

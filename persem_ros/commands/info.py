@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, TYPE_CHECKING
 
-from persem_ros.commands import add_excerpt, add_settings
+from persem_ros.commands.options import add_excerpt, add_settings
 
 if TYPE_CHECKING:
     from argparse import _SubParsersAction, Namespace
@@ -43,7 +43,7 @@ def _report(bag: str, args: Namespace, config: Config) -> bool:
     """Print the report of an input; return whether something needed is missing."""
     import sys
 
-    from persem_ros.commands import excerpt_of
+    from persem_ros.commands.options import excerpt_of
     from persem_ros.guard import limits
     from persem_ros.inputs.recording.excerpt import WHOLE
     from persem_ros.inputs.recording.source import Source

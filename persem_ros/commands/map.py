@@ -6,6 +6,7 @@ from typing import Any, TYPE_CHECKING
 
 from persem_ros.commands import (
     map_export, map_forget, map_georeference, map_merge, map_move, map_restore, map_view)
+from persem_ros.commands.options import add_map
 from persem_ros.errors import PersemError
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ def add_parser(subparsers: _SubParsersAction[Any]) -> None:
     actions = parser.add_subparsers(metavar='ACTION', required=True)
 
     info_parser = actions.add_parser('info', help='size, extent, classes, frames, settings')
-    info_parser.add_argument('file', metavar='FILE', help='a map file (.persem)')
+    add_map(info_parser)
     info_parser.set_defaults(run=info)
 
     map_view.add_parser(actions)
@@ -41,7 +42,7 @@ def add_parser(subparsers: _SubParsersAction[Any]) -> None:
         'query', help='the history of one voxel, its evidence, its label and why',
         description='Shows what was seen in the voxel at a point, and each step from there to '
                     'its label.')
-    query_parser.add_argument('file', metavar='FILE', help='a map file (.persem)')
+    add_map(query_parser)
     for axis in 'xyz':
         query_parser.add_argument(axis, metavar=axis.upper(), type=float,
                                   help=f'{axis} in metres in the map frame')

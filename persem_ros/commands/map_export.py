@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, TYPE_CHECKING
 
+from persem_ros.commands.options import add_map
 from persem_ros.errors import PersemError
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ def add_parser(actions: _SubParsersAction[Any]) -> None:
         'export', help='points, tables, rasters, meshes, grids for other programs',
         description='Writes the voxels of a map file for other programs; several formats at once '
                     'if you like. Maps may be larger than memory.')
-    parser.add_argument('file', metavar='FILE', help='a map file (.persem)')
+    add_map(parser)
     for name, metavar, text in FORMATS:
         parser.add_argument(f'--{name}', metavar=metavar, help=text)
     parser.add_argument(

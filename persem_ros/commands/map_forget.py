@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any, TYPE_CHECKING
 
+from persem_ros.commands.options import add_map
+
 if TYPE_CHECKING:
     from argparse import _SubParsersAction, Namespace
 
@@ -14,7 +16,7 @@ def add_parser(actions: _SubParsersAction[Any]) -> None:
         'forget', help='take a session out of a map',
         description='Makes the file the map that the other sessions alone would have given; they '
                     'are numbered anew, and the map is refined anew with its own settings.')
-    parser.add_argument('file', metavar='FILE', help='a map file (.persem); it is replaced')
+    add_map(parser, '; it is replaced')
     parser.add_argument('--session', type=int, required=True, metavar='N',
                         help='its number, the first is 0')
     parser.set_defaults(run=run)

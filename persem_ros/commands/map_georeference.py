@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from typing import Any, TYPE_CHECKING
 
+from persem_ros.commands.options import add_map
 from persem_ros.errors import PersemError
 
 if TYPE_CHECKING:
     from argparse import _SubParsersAction, Namespace
 
     from persem_ros.outputs.export.place import Place
+    from persem_ros.outputs.export.source import MapSource
 
 
 def add_parser(actions: _SubParsersAction[Any]) -> None:
@@ -18,7 +20,7 @@ def add_parser(actions: _SubParsersAction[Any]) -> None:
         'georeference', help='tie a map to the Earth, for the exports',
         description='Enters into the map file where its frame lies on the Earth (map.crs, '
                     'map.georeference). Without options it prints what the file has.')
-    parser.add_argument('file', metavar='FILE', help='a map file (.persem)')
+    add_map(parser)
     parser.add_argument('--fix', metavar='RECORDING|CSV',
                         help='fit the flight to satellite fixes: a recording with '
                              'sensor_msgs/NavSatFix, or a table stamp,latitude,longitude,altitude')
@@ -61,7 +63,7 @@ def run(args: Namespace) -> None:
     print(f'{args.file}: {_told(place)}')
 
 
-def _fitted(args: Namespace, source: Any) -> Place:
+def _fitted(args: Namespace, source: MapSource) -> Place:
     """Return the Place that the fixes give; print how well."""
     from persem_ros.inputs.recording.fixes import read_fixes
     from persem_ros.outputs.export.georeference import fitted, Fixes

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any, TYPE_CHECKING
 
+from persem_ros.commands.options import add_map
+
 if TYPE_CHECKING:
     from argparse import _SubParsersAction, Namespace
 
@@ -15,7 +17,7 @@ def add_parser(actions: _SubParsersAction[Any]) -> None:
         description='Moves the observations of a session with its poses, as a SLAM system has '
                     'corrected them, and refines the map anew with its own settings. persem '
                     'replay --trajectory maps the recording anew, which is exact.')
-    parser.add_argument('file', metavar='FILE', help='a map file (.persem); it is replaced')
+    add_map(parser, '; it is replaced')
     parser.add_argument('--trajectory', metavar='FILE', required=True,
                         help='poses of what the pose topic places, in the frame of the map: '
                              'lines of "stamp x y z qx qy qz qw" (TUM), or a recording with a '

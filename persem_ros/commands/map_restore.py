@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any, TYPE_CHECKING
 
+from persem_ros.commands.options import add_map
+
 if TYPE_CHECKING:
     from argparse import _SubParsersAction, Namespace
 
@@ -15,7 +17,7 @@ def add_parser(actions: _SubParsersAction[Any]) -> None:
         description='Makes every voxel present again that is gone because later frames looked '
                     'through it; looks are counted anew, and the map is refined anew with its own '
                     'settings.')
-    parser.add_argument('file', metavar='FILE', help='a map file (.persem); it is replaced')
+    add_map(parser, '; it is replaced')
     parser.set_defaults(run=run)
 
 

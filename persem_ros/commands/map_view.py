@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, TYPE_CHECKING
 
+from persem_ros.commands.options import add_map
 from persem_ros.errors import PersemError
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ def add_parser(actions: _SubParsersAction[Any]) -> None:
         description='Shows a map file in a page on 127.0.0.1 until Ctrl-C. Coarse from afar and '
                     'every voxel close by; a click says why a voxel has its label. A map that is '
                     'being written (map.attached) is followed.')
-    parser.add_argument('file', metavar='FILE', help='a map file (.persem)')
+    add_map(parser)
     parser.add_argument('--port', type=int, default=PORT, metavar='N',
                         help='of this machine, %(default)s by default; 0: any that is free')
     parser.set_defaults(run=run)

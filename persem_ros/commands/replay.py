@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from typing import Any, TYPE_CHECKING
 
-from persem_ros.commands import add_excerpt, add_settings
+from persem_ros.commands.options import add_excerpt, add_settings
 from persem_ros.settings.config import IMAGE_METHODS, METHODS
 
 if TYPE_CHECKING:
     from argparse import _SubParsersAction, Namespace
+    from collections.abc import Mapping
 
     from persem_ros.frames import Frame
     from persem_ros.rendering import Rendering
-    from persem_ros.replay import Replay
+    from persem_ros.replay import Replay, Watcher
 
 
 def add_parser(subparsers: _SubParsersAction[Any]) -> None:
@@ -59,7 +60,7 @@ def run(args: Namespace) -> None:
     from contextlib import ExitStack
     from pathlib import Path
 
-    from persem_ros.commands import excerpt_of
+    from persem_ros.commands.options import excerpt_of
     from persem_ros.inputs.recording.corrected import load
     from persem_ros.inputs.recording.finding import split
     from persem_ros.outputs.results.rundir import check_extra, FILES
@@ -68,14 +69,14 @@ def run(args: Namespace) -> None:
     config = config_file.from_args(args.config, args.set_items)
     trajectory = load(args.trajectory, config.frames.map) if args.trajectory else None
     methods = [name.strip() for name in (args.methods or '').split(',') if name.strip()]
-    used = (*(part for bag in args.bags for part in split(bag)), config.map.path,
-            *(Path(args.out, name) for name in FILES))
+    used: list[Path | str] = [*(part for bag in args.bags for part in split(bag)),
+                              config.map.path, *(Path(args.out, name) for name in FILES)]
     for option, path in (('--figure', args.figure), ('--rerun', args.rerun)):
         if path:
             check_extra(path, option, args.force, used)
     with ExitStack() as stack:
         truth = _Truth()
-        watchers = [truth]
+        watchers: list[Watcher] = [truth]
         if args.rerun:
             from persem_ros.outputs.results.rerun_log import RerunLog
             watchers.append(stack.enter_context(RerunLog(args.rerun)))
@@ -91,8 +92,9 @@ def run(args: Namespace) -> None:
 class _Truth:
     """A watcher of the replay that asks in the end why accuracy is unknown and frames dropped."""
 
-    missing = ''
-    reasons = {}
+    def __init__(self) -> None:
+        self.missing = ''
+        self.reasons: dict[str, str] = {}
 
     def frame(self, replay: Replay, frame: Frame, rendering: Rendering) -> None:
         """Pass over a frame."""
@@ -103,7 +105,8 @@ class _Truth:
         self.reasons = dict(replay.recording.examples)
 
 
-def summary(result: dict[str, Any], without_truth: str = '', reasons: Any = None) -> str:
+def summary(result: dict[str, Any], without_truth: str = '',
+            reasons: Mapping[str, str] | None = None) -> str:
     """
     Return what metrics.json holds as a small table for people.
 
@@ -113,7 +116,7 @@ def summary(result: dict[str, Any], without_truth: str = '', reasons: Any = None
         The content of metrics.json.
     without_truth : str
         Why accuracy is unknown, '' where it is known.
-    reasons : dict of str to str, optional
+    reasons : dict, optional
         A sentence for each reason why something was dropped.
 
     """

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from operator import attrgetter
 from typing import Any, TYPE_CHECKING
 
 if TYPE_CHECKING:
     from argparse import _SubParsersAction, Namespace
 
+    from persem_ros.simulate.flight import Shot
     from persem_ros.simulate.plan import Plan
 
 # Option, field of simulate.flight.Plan or of one of its parts, type, unit, help.
@@ -43,9 +44,7 @@ NUMBERS = (
 class DefaultsFormatter(argparse.HelpFormatter):
     """Adds the defaults of the plan to the help of its options, loaded only to be shown."""
 
-    def _get_help_string(
-            self, action: argparse._HelpAction | argparse._StoreAction | argparse._StoreTrueAction
-    ) -> str:
+    def _get_help_string(self, action: argparse.Action) -> str | None:
         """Return an option's help with its default."""
         name = {option: name for option, name, *_ in NUMBERS}.get(action.option_strings[-1]
                                                                   if action.option_strings else '')
@@ -99,7 +98,7 @@ def run(args: Namespace) -> None:
     begin = time.perf_counter()
     flight = Flight(plan_of(args))
 
-    def progress(shots: Iterator[Any]) -> Any:
+    def progress(shots: Iterator[Shot]) -> Iterable[Shot]:
         return tqdm(shots, 'simulating', flight.plan.frames, unit=' frames',
                     disable=not sys.stderr.isatty())
 
@@ -131,7 +130,7 @@ def plan_of(args: Namespace) -> Plan:
     return plan.without_errors() if args.no_noise else plan
 
 
-def _size(text: str) -> tuple[int, int] | None:
+def _size(text: str) -> tuple[int, int]:
     """Return (width, height) of a text like 640x480."""
     width, cross, height = text.lower().partition('x')
     if not (cross and width.isdigit() and height.isdigit()):

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any, TYPE_CHECKING
 
-from persem_ros.commands import add_settings
-from persem_ros.commands.evaluate import add_evaluation, methods_of
+from persem_ros.commands.options import add_evaluation, methods_of
 
 if TYPE_CHECKING:
     from argparse import _SubParsersAction, Namespace
@@ -32,14 +31,12 @@ def add_parser(subparsers: _SubParsersAction[Any]) -> None:
     parser.add_argument('--methods', metavar='A,B', default='raw2d,ema2d,majority,persem',
                         help='methods to be compared, or all (default: %(default)s)')
     add_evaluation(parser)
-    parser.add_argument('--no-figures', action='store_true', help='tables only')
-    add_settings(parser)
     parser.set_defaults(run=run)
 
 
 def run(args: Namespace) -> None:
     """Evaluate all points; print their table."""
-    from persem_ros.commands import excerpt_of
+    from persem_ros.commands.options import excerpt_of
     from persem_ros.evaluate.show.table import console
     from persem_ros.evaluate.sweep import parse_vary, points_table, sweep
     from persem_ros.settings import config_file

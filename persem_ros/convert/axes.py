@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from itertools import product
 import logging
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,13 +55,14 @@ def optical_pose(T: NDArray[np.float64], direction: str = 'camera-to-world', axe
 
 def compare_conventions(depths: dict[int, NDArray[np.float64]],
                         poses: dict[int, NDArray[np.float64]], K: NDArray[np.float64],
-                        axes_only: Any = None) -> dict[tuple[str, str], float]:
+                        axes_only: Iterable[tuple[str, str]] | None = None
+                        ) -> dict[tuple[str, str], float]:
     """
     Return {(direction, axes): mean relative error} of all conventions.
 
     Parameters
     ----------
-    depths : dict of int to ndarray, shape (H, W), float64
+    depths : dict of int to ndarray, shape (H, W)
         Metres, per frame.
     poses : dict of int to ndarray, shape (4, 4)
         As the files have them, per frame.
@@ -78,9 +79,9 @@ def compare_conventions(depths: dict[int, NDArray[np.float64]],
         T = {i: optical_pose(poses[i], direction, axes) for i in depths}
         errors = [reprojection_error(depths[i], depths[j], inverse(T[j]) @ T[i], K)
                   for i, j in pairs]
-        errors = np.concatenate(errors) if errors else np.empty(0)
-        if errors.size:
-            result[direction, axes] = float(errors.mean())
+        every = np.concatenate(errors) if errors else np.empty(0)
+        if every.size:
+            result[direction, axes] = float(every.mean())
     return result
 
 
@@ -121,7 +122,7 @@ def judge(errors: dict[tuple[str, str], float], direction: str, axes: str) -> st
         LOG.info('the axes were not checked: no two frames with depth to compare')
         return 'unknown'
     mine = errors[direction, axes]
-    best = min(errors, key=errors.get)
+    best = min(errors, key=errors.__getitem__)
     if errors[best] < 0.8 * mine and mine - errors[best] > 1e-3:
         flags = [f'--{name} {value}' for name, value, now in
                  (('pose-is', best[0], direction), ('axes', best[1], axes)) if value != now]

@@ -18,7 +18,8 @@ STEEP = 0.7         # of the view along -z, above which the cameras look down
 
 
 def sampled(
-        count: int, depth_of: Callable[..., Any], pose_of: Callable[..., Any]
+        count: int, depth_of: Callable[[int], NDArray[Any]],
+        pose_of: Callable[[int], NDArray[np.float64] | None]
 ) -> tuple[dict[int, NDArray[np.float64]], dict[int, NDArray[np.float64]]]:
     """
     Return the depth and the poses of frames near enough to overlap.
@@ -27,20 +28,19 @@ def sampled(
     ----------
     count : int
         Number of frames.
-    depth_of, pose_of : function of int
+    depth_of, pose_of : function
         Of frame i: depth, (H, W), metres, 0 is no measurement; and the pose, or None.
 
     Returns
     -------
-    dict of int to ndarray, shape (H, W), float64
+    dict of int to ndarray, shape (H, W)
         Metres; of those frames that have a pose and images of one size.
     dict of int to ndarray, shape (4, 4)
         The poses of the same.
 
     """
     need = sorted({i for pair in pairs_to_check(count) for i in pair})
-    poses = {i: pose_of(i) for i in need}
-    poses = {i: pose for i, pose in poses.items() if pose is not None}
+    poses = {i: pose for i in need if (pose := pose_of(i)) is not None}
     depths = {i: depth_of(i).astype(np.float64) for i in poses}
     # An image of another size is refused when its turn comes; here it only cannot be compared.
     alike = [i for i in depths if depths[i].shape == next(iter(depths.values())).shape]

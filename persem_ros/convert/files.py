@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from itertools import islice
 from pathlib import Path
 import re
 
@@ -58,13 +60,12 @@ def canonical(key: str) -> str:
     return key.lstrip('0') or '0' if key.isdecimal() else key
 
 
-def some(names: dict[str, Path] | list[str], limit: int = 3) -> str:
+def some(names: Collection[str], limit: int = 3) -> str:
     """Return the first few of *names* as text, with an ellipsis when there are more."""
-    names = list(names)
-    return ', '.join(str(name) for name in names[:limit]) + (', …' if len(names) > limit else '')
+    return ', '.join(islice(names, limit)) + (', …' if len(names) > limit else '')
 
 
-def read_text(path: Path) -> str:
+def read_text(path: Path | str) -> str:
     """
     Return a text file's content.
 
@@ -82,7 +83,7 @@ def read_text(path: Path) -> str:
         raise PersemError(f'{path}: expected a text file') from None
 
 
-def read_lines(path: Path) -> list[tuple[int, list[str]]]:
+def read_lines(path: Path | str) -> list[tuple[int, list[str]]]:
     """Return [(line number, words)] of a text file; '#' starts a comment, ',' separates too."""
     lines = enumerate(read_text(path).splitlines(), 1)
     rows = [(number, line.split('#')[0].replace(',', ' ').split()) for number, line in lines]
@@ -92,7 +93,7 @@ def read_lines(path: Path) -> list[tuple[int, list[str]]]:
     return rows
 
 
-def numbers_of(words: list[str], where: str) -> NDArray[np.float64]:
+def numbers_of(words: list[str], where: Path | str) -> NDArray[np.float64]:
     """Return words as float64; infinities and NaN are numbers here."""
     try:
         return np.array([float(word) for word in words])

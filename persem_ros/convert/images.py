@@ -112,7 +112,7 @@ def _is_broken_png(data: bytes) -> bool:
     return True
 
 
-def read_labels(path: Path) -> tuple[NDArray[np.uint8], str]:
+def read_labels(path: Path) -> tuple[NDArray[np.integer[Any]], str]:
     """
     Return (ids, encoding) of a label file.
 
@@ -141,7 +141,7 @@ def read_labels(path: Path) -> tuple[NDArray[np.uint8], str]:
 
 
 def read_depth(
-        path: Path, per_metre: float | None = None, invalid: tuple[int, int] = (0, 65535)
+        path: Path, per_metre: float | None = None, invalid: tuple[int, ...] = (0, 65535)
 ) -> tuple[NDArray[Any], str]:
     """
     Return (depth, encoding): 16UC1 in millimetres where the file is, else 32FC1 in metres.
@@ -152,7 +152,7 @@ def read_depth(
         16-bit PNG or TIFF, floating-point TIFF or .npy.
     per_metre : float, optional
         Stored units per metre. Without it integers are millimetres, floats metres.
-    invalid : sequence of int
+    invalid : tuple of int
         Stored integers that mean "no measurement"; they become 0.
 
     Returns
@@ -182,7 +182,7 @@ def units_per_metre(path: Path, per_metre: float | None = None) -> float:
 
 
 def metres(depth: NDArray[Any], encoding: str) -> NDArray[np.float64]:
-    """Return depth as float64 metres, 0 where there is no measurement."""
+    """Return depth as metres, 0 where there is no measurement."""
     depth = depth / 1000.0 if encoding == '16UC1' else depth.astype(np.float64)
     return np.where(np.isfinite(depth), depth, 0.0)
 
@@ -197,8 +197,10 @@ def parse_unit(text: str | None) -> float | None:
         For anything else.
 
     """
-    if text is None or text in UNITS:
-        return UNITS.get(text)
+    if text is None:
+        return None
+    if text in UNITS:
+        return UNITS[text]
     try:
         value = float(text)
     except ValueError:
@@ -210,16 +212,16 @@ def parse_unit(text: str | None) -> float | None:
 
 
 def read_color(path: Path, size: tuple[int, int] | None = None) -> tuple[NDArray[np.uint8], str]:
-    """Return (array, encoding) of a colour file: (H, W, 3) uint8, bgr8; *size* is (w, h)."""
+    """Return (array, encoding) of a colour file: (H, W, 3), bgr8; *size* is (w, h)."""
     array = read_array(path)
     if array.dtype != np.uint8 or (array.ndim == 3 and array.shape[2] not in (3, 4)):
         raise PersemError(f'{path}: expected an 8-bit colour image, got {array.dtype.name} of '
                           f'shape {array.shape}')
     if array.ndim == 2:
-        array = cv2.cvtColor(array, cv2.COLOR_GRAY2BGR)
+        array = np.asarray(cv2.cvtColor(array, cv2.COLOR_GRAY2BGR))
     array = array[..., :3]
     if size is not None and (array.shape[1], array.shape[0]) != tuple(size):
-        array = cv2.resize(array, size, interpolation=cv2.INTER_AREA)
+        array = np.asarray(cv2.resize(array, size, interpolation=cv2.INTER_AREA))
     return array, 'bgr8'
 
 

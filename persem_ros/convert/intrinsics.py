@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,10 +33,10 @@ class Intrinsics:
 
     """
 
-    K: np.ndarray
-    D: np.ndarray = ()
+    K: NDArray[np.float64]
+    D: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     model: str = 'plumb_bob'
-    size: tuple[Any, ...] | None = None
+    size: tuple[int, int] | None = None
 
 
 def read_intrinsics(source: Path | str) -> Intrinsics:
@@ -72,7 +71,7 @@ def read_intrinsics(source: Path | str) -> Intrinsics:
     return Intrinsics(_checked(values.reshape(side, side)[:3, :3], where))
 
 
-def is_numbers(text: str) -> bool | None:
+def is_numbers(text: str) -> bool:
     """
     Whether --intrinsics is fx,fy,cx,cy itself, and no file.
 
@@ -98,7 +97,7 @@ def _words(text: str) -> list[str]:
     return [word for word in text.split(',') if word.strip()]
 
 
-def _ros_calibration(path: Path) -> Intrinsics | None:
+def _ros_calibration(path: Path | str) -> Intrinsics:
     """Return the Intrinsics of a camera_calibration YAML file."""
     try:
         content = yaml_text.load(read_text(path), str(path), yaml_text.SETTINGS)
@@ -113,7 +112,7 @@ def _ros_calibration(path: Path) -> Intrinsics | None:
     return Intrinsics(_checked(K, path), D, model, size)
 
 
-def _checked(K: NDArray[np.float64] | list[list[float]], where: str) -> NDArray[np.float64]:
+def _checked(K: NDArray[np.float64] | list[list[float]], where: Path | str) -> NDArray[np.float64]:
     K = np.array(K, float)
     if not np.isfinite(K).all() or K[0, 0] <= 0 or K[1, 1] <= 0:
         raise PersemError(f'{where}: expected positive focal lengths, got fx = {K[0, 0]:g}, '

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from dataclasses import dataclass, field
-from typing import Any, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,10 +42,10 @@ class Poses:
 
     """
 
-    by_key: dict[Any, Any] = field(default_factory=dict)
-    stamps: list[Any] = field(default_factory=list)
-    matrices: list[Any] = field(default_factory=list)
-    lost: list[Any] = field(default_factory=list)
+    by_key: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    stamps: list[int] = field(default_factory=list)
+    matrices: list[NDArray[np.float64]] = field(default_factory=list)
+    lost: list[str] = field(default_factory=list)
     order: str = ''
     other: Poses | None = None
 

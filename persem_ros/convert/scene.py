@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Sequence
 import logging
-from typing import Any, TYPE_CHECKING
+from typing import Any, TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +15,15 @@ from persem_ros.settings.config import Topics
 from tqdm import tqdm
 
 if TYPE_CHECKING:
-    from persem_ros.convert.frames.layout import Item
     from persem_ros.outputs.recording.writer import RecordingWriter
     from persem_ros.settings.legend import Legend
 
 LOG = logging.getLogger(__name__)
 MAP, CAMERA = 'map', 'camera'
 KEPT = 500      # depths a frame, for the median
+
+Item = TypeVar('Item')      # whatever a converter calls a frame
+Posed = tuple[int, NDArray[np.float64]]     # stamp, T_map_camera (4, 4)
 
 
 class SceneWriter:
@@ -34,8 +36,8 @@ class SceneWriter:
         The open recording.
     legend : Legend, optional
         Goes to /semantic/legend, latched.
-    trajectory : iterable of (int, ndarray of shape (4, 4))
-        Stamps, ascending, and T_map_camera; written among the images, so that a recording
+    trajectory : iterable of Posed
+        In order of stamps; written among the images, so that a recording
         that breaks off has the poses of what it has.
 
     Attributes
@@ -48,22 +50,23 @@ class SceneWriter:
     """
 
     def __init__(self, out: RecordingWriter, legend: Legend | None = None,
-                 trajectory: Iterator[Any] = ()) -> None:
-        self.counts: Counter[Any] = Counter()
-        self.depth_size = None
+                 trajectory: Iterable[Posed] = ()) -> None:
+        self.counts: Counter[str] = Counter()
+        self.depth_size: tuple[int, int] | None = None
         self._out, self._topics = out, Topics()
-        self._stamps: list[Any] = []
-        self._range, self._kept = (np.inf, -np.inf), []
+        self._stamps: list[int] = []
+        self._range = np.inf, -np.inf
+        self._kept: list[NDArray[np.float32]] = []
         self._trajectory = iter(trajectory)
         self._next = next(self._trajectory, None)
         if legend is not None:
             out.text('semantic/legend', legend.to_yaml(), latched=True)
 
-    def labels(self, stamp: int, array: NDArray[np.uint8], encoding: str) -> None:
+    def labels(self, stamp: int, array: NDArray[np.integer[Any]], encoding: str) -> None:
         """Write a label image."""
         self._image('labels', self._topics.labels, stamp, array, encoding)
 
-    def truth(self, stamp: int, array: NDArray[np.uint8], encoding: str) -> None:
+    def truth(self, stamp: int, array: NDArray[np.integer[Any]], encoding: str) -> None:
         """Write an image of true ids."""
         self._image('truth', self._topics.truth, stamp, array, encoding)
 
@@ -71,8 +74,8 @@ class SceneWriter:
         """Write a colour image."""
         self._image('color', self._topics.color, stamp, array, encoding)
 
-    def depth(self, stamp: int, array: NDArray[np.float32], encoding: str, K: NDArray[np.float64],
-              D: tuple[Any, ...] = (), model: str = 'plumb_bob') -> None:
+    def depth(self, stamp: int, array: NDArray[Any], encoding: str, K: NDArray[np.float64],
+              D: NDArray[np.float64] | Sequence[float] = (), model: str = 'plumb_bob') -> None:
         """Write a depth image and the camera info of its size."""
         height, width = array.shape
         self.depth_size = width, height
@@ -87,7 +90,7 @@ class SceneWriter:
     def finish(self) -> str:
         """Write the poses that are left; return one line on what was written."""
         while self._next is not None:
-            self._pose()
+            self._pose(*self._next)
         counts = ', '.join(f'{n} {what}' for what, n in self.counts.items())
         seconds = (max(self._stamps) - min(self._stamps)) / 1e9
         return (f'{counts}; {seconds:.3f} s from stamp {min(self._stamps) / 1e9:.3f}; '
@@ -105,22 +108,21 @@ class SceneWriter:
     def _image(
             self, what: str, topic: str, stamp: int, array: NDArray[Any], encoding: str) -> None:
         while self._next is not None and self._next[0] <= stamp:
-            self._pose()
+            self._pose(*self._next)
         self._out.image(topic, stamp, CAMERA, array, encoding)
         self.counts[what] += 1
         self._stamps.append(stamp)
 
-    def _pose(self) -> None:
-        """Write the next pose as a PoseStamped and to /tf."""
-        stamp, T = self._next
+    def _pose(self, stamp: int, T: NDArray[np.float64]) -> None:
+        """Write the next pose as a PoseStamped and to /tf, and go on to the one after."""
         self._out.pose(self._topics.pose, stamp, MAP, T)
         self._out.tf(stamp, MAP, CAMERA, T)
         self.counts['poses'] += 1
         self._next = next(self._trajectory, None)
 
 
-def write_scene(writer: RecordingWriter, legend: Legend | None, trajectory: Iterator[Any],
-                items: list[Item | str], write: Callable[..., Any]) -> str | None:
+def write_scene(writer: RecordingWriter, legend: Legend | None, trajectory: Iterable[Posed],
+                items: list[Item], write: Callable[[SceneWriter, Item], None]) -> str:
     """
     Write a whole recording.
 
@@ -132,7 +134,7 @@ def write_scene(writer: RecordingWriter, legend: Legend | None, trajectory: Iter
         Of SceneWriter.
     items : list
         The frames.
-    write : function of (SceneWriter, item)
+    write : function
         Writes the images of one.
 
     Returns
@@ -154,13 +156,13 @@ def check_scale(scale: float) -> None:
         raise PersemError(f'--scale {scale:g}: expected more than 0 and at most 1')
 
 
-def report_dropped(dropped: dict[Any, Any]) -> None:
+def report_dropped(dropped: dict[str, list[str]]) -> None:
     """
     Warn about frames that were left out.
 
     Parameters
     ----------
-    dropped : dict of str to list of str
+    dropped : dict
         The reason, and the frames.
 
     """
@@ -170,7 +172,7 @@ def report_dropped(dropped: dict[Any, Any]) -> None:
                         ', …' if len(names) > 5 else '')
 
 
-def chosen(items: list[Item | str], frames: str | None = None, every: int = 1) -> list[Item | str]:
+def chosen(items: list[Item], frames: str | None = None, every: int = 1) -> list[Item]:
     """
     Return the part of a list that --frames A:B and --every N mean.
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 import re
-from typing import Any
 
 from persem_ros.convert.files import canonical, read_lines
 from persem_ros.errors import PersemError
@@ -33,7 +33,7 @@ def seconds_to_ns(text: str, where: str = 'stamp') -> int:
     return int((seconds * 1_000_000_000).to_integral_value())
 
 
-def stamp_of_name(name: str) -> Any:
+def stamp_of_name(name: str) -> int | None:
     """
     Return the stamp that a file name without its ending is, or None.
 
@@ -49,16 +49,21 @@ def stamp_of_name(name: str) -> Any:
     return None
 
 
-def number_of_name(name: str) -> int:
+def number_of_name(name: str) -> int | None:
     """Return the last integer in a file name without its ending, or None."""
     numbers = re.findall(r'\d+', name)
     return int(numbers[-1]) if numbers else None
 
 
-def stamps_from_names(keys: dict[str, Path] | list[str]) -> dict[str, int] | None:
+def stamps_from_names(keys: Iterable[str]) -> dict[str, int] | None:
     """Return {key: stamp} where all names are stamps, or None."""
-    stamps = {key: stamp_of_name(key) for key in keys}
-    return None if None in stamps.values() else stamps
+    stamps = {}
+    for key in keys:
+        stamp = stamp_of_name(key)
+        if stamp is None:
+            return None
+        stamps[key] = stamp
+    return stamps
 
 
 def stamps_from_rate(keys: list[str], rate: float, start: float) -> dict[str, int]:
@@ -68,15 +73,16 @@ def stamps_from_rate(keys: list[str], rate: float, start: float) -> dict[str, in
     Where names carry no number, or two the same one, the position in the list stands in.
 
     """
-    numbers = [number_of_name(key) for key in keys]
-    if None in numbers or len(set(numbers)) < len(numbers):
-        numbers = range(len(keys))
+    named = [number_of_name(key) for key in keys]
+    numbers = [number for number in named if number is not None]
+    if len(set(numbers)) < len(keys):
+        numbers = list(range(len(keys)))
     begin = round(start * 1e9)
     return {key: begin + round(Decimal(number) * 10**9 / Decimal(str(rate)))
             for key, number in zip(keys, numbers, strict=True)}
 
 
-def stamps_from_file(path: Path | str, keys: list[str]) -> dict[str, int] | None:
+def stamps_from_file(path: Path | str, keys: list[str]) -> dict[str, int]:
     """
     Return {key: stamp} from a text file.
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import logging
 from pathlib import Path
 import re
-from typing import Any
 
 import cv2
 import numpy as np
@@ -197,7 +196,7 @@ def _axis_angle(path: Path, rows: list[Row]) -> Matrices:
 def _stamped(path: Path, tags: list[str], matrices: Matrices, nanoseconds: bool = False) -> Poses:
     """Return the Poses of a trajectory with stamps; the first of two equal stamps counts."""
     poses = Poses()
-    order: dict[int, Any] = {}
+    order: dict[int, NDArray[np.float64]] = {}
     for tag, T in zip(tags, matrices, strict=True):
         stamp = _stamp(tag, nanoseconds, path)
         if T is None:

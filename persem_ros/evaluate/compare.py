@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from persem_ros.evaluate.show.table import Table
 
 
-def load(folder: Path | str) -> dict[str, Any] | None:
+def load(folder: Path | str) -> dict[str, Any]:
     """
     Return a result as a dict: sequences {name: metrics}, settings, versions, blocks, origin.
 
@@ -45,7 +45,7 @@ def load(folder: Path | str) -> dict[str, Any] | None:
                     for name in found['sequences']}
             return {'sequences': found['sequences'], 'settings': found['settings'],
                     'versions': found['versions'], 'taxonomy': found['taxonomy'],
-                    'blocks': {name: one[1] for name, one in done.items() if one}}
+                    'blocks': {name: one.arrays for name, one in done.items() if one}}
         if (folder / 'metrics.json').is_file():
             timing = json.loads((folder / 'timing.json').read_text('utf-8'))
             values = read(folder / 'config.yaml')
@@ -61,7 +61,7 @@ def load(folder: Path | str) -> dict[str, Any] | None:
 
 def compare(
         a: Path | str, b: Path | str, out: str | None = None
-) -> tuple[list[str], list[Table]] | None:
+) -> tuple[list[str], list[Table]]:
     """
     Compare two results; draw both where *out* is given.
 

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 import json
 import logging
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
 from persem_ros.errors import PersemError
 from persem_ros.evaluate.measure import combine
+from persem_ros.evaluate.measure.result import Result
 from persem_ros.evaluate.measure.taxonomy import taxonomy
 from persem_ros.evaluate.show import page, table
 from persem_ros.evaluate.show.paper_tables import tables
@@ -34,10 +34,10 @@ REQUEST = 'request.json'        # what the folder is an evaluation of
 
 
 def evaluate(recordings: list[Path | str], out: Path | str, config: Config,
-             methods: tuple[str, ...] = ALL_METHODS, labels: str = '', grouped: bool = False,
+             methods: Sequence[str] = ALL_METHODS, labels: str = '', grouped: bool = False,
              dynamic: bool = True, predictions: str = '', workers: int = 0, scheduler: str = '',
              force: bool = False, figures: bool = True,
-             excerpt: Excerpt = WHOLE) -> dict[str, Any] | None:
+             excerpt: Excerpt = WHOLE) -> dict[str, Any]:
     """
     Evaluate recordings into a folder; what is finished there is not computed again.
 
@@ -86,9 +86,9 @@ def evaluate(recordings: list[Path | str], out: Path | str, config: Config,
              for name, path in paths.items()}
     frames = {name: check(task) for name, task in tasks.items()}
     folder = prepare(out, request_of(next(iter(tasks.values()))), force)
-    results = compute(folder, {folder / 'sequences' / name: task for name, task in tasks.items()},
-                      workers, scheduler, list(frames.values()))
-    results = {path.name: result for path, result in results.items()}
+    done = compute(folder, {folder / 'sequences' / name: task for name, task in tasks.items()},
+                   workers, scheduler, list(frames.values()))
+    results = {path.name: result for path, result in done.items()}
     warn(results)
     evaluation = {**combine.combined(results), 'versions': rundir.versions(),
                   'hardware': rundir.hardware(),
@@ -96,7 +96,6 @@ def evaluate(recordings: list[Path | str], out: Path | str, config: Config,
     write_text(folder / 'config.yaml', config_file.to_yaml(config))
     write(folder, evaluation)
     if figures:
-
         page.write(folder, evaluation, results)
     return evaluation
 
@@ -115,17 +114,18 @@ def write(folder: Path, evaluation: dict[str, Any]) -> None:
 def compute(
         out: Path, tasks: dict[Path, Task], workers: int = 0, scheduler: str = '',
         frames: list[int] | None = None
-) -> dict[Path, tuple[dict[str, Any], dict[str, NDArray[np.int64]]]] | None:
+) -> dict[Path, Result]:
     """
-    Return {folder: (summary, arrays)} of tasks by their folder in *out*, in their order.
+    Return what is left of tasks by their folder in *out*, in their order.
 
     Results that lie there are taken, the others computed and saved at once. Meanwhile nobody
     else computes there.
 
     """
     identities = {folder: manifest.identity(task) for folder, task in tasks.items()}
-    found = {folder: manifest.load(folder, identities[folder]) for folder in tasks}
-    missing = [folder for folder, result in found.items() if result is None]
+    loaded = {folder: manifest.load(folder, identities[folder]) for folder in tasks}
+    found = {folder: result for folder, result in loaded.items() if result is not None}
+    missing = [folder for folder in tasks if folder not in found]
     if len(missing) < len(tasks):
         log.info('%d of %d are finished already', len(tasks) - len(missing), len(tasks))
     by_folder = dict(zip(tasks, frames or [1] * len(tasks)))
@@ -134,11 +134,11 @@ def compute(
                 [tasks[f] for f in missing], workers, scheduler, [by_folder[f] for f in missing]):
             folder = missing[place]
             manifest.save(folder, identities[folder], summary, arrays)
-            found[folder] = summary, arrays
-    return found
+            found[folder] = Result(summary, arrays)
+    return {folder: found[folder] for folder in tasks}
 
 
-def prepare(out: Path | str, request: dict[str, Any], force: bool = False) -> Path | None:
+def prepare(out: Path | str, request: dict[str, Any], force: bool = False) -> Path:
     """
     Return the folder *out*, new or with a part of the same evaluation.
 
@@ -171,7 +171,7 @@ def prepare(out: Path | str, request: dict[str, Any], force: bool = False) -> Pa
     return folder
 
 
-def check(task: Task) -> int | None:
+def check(task: Task) -> int:
     """Return the frames that a task will read; refuse what cannot be used, before the work."""
     if task.config.map.path:
         raise PersemError('map.path: an evaluation begins with an empty map; leave it out')
@@ -187,7 +187,7 @@ def check(task: Task) -> int | None:
         return 2 * recording.expected
 
 
-def warn(results: dict[str, tuple[dict[str, Any], dict[str, NDArray[np.int64]]]]) -> None:
+def warn(results: dict[str, Result]) -> None:
     """Say what was left out of the sequences."""
     for name, (summary, _) in results.items():
         outside = summary['outside_taxonomy']
@@ -201,7 +201,7 @@ def warn(results: dict[str, tuple[dict[str, Any], dict[str, NDArray[np.int64]]]]
             log.warning('%s: %s', name, note)
 
 
-def chosen_methods(methods: tuple[str, ...]) -> tuple[str, ...] | None:
+def chosen_methods(methods: Sequence[str]) -> tuple[str, ...]:
     """Return methods in the usual order; refuse unknown ones."""
     for name in methods:
         if name not in ALL_METHODS:
@@ -212,7 +212,8 @@ def chosen_methods(methods: tuple[str, ...]) -> tuple[str, ...] | None:
 
 def named(recordings: list[Path | str]) -> dict[str, Path]:
     """Return {name: path} of recordings, the names made different."""
-    names, result = Counter(), {}
+    names: Counter[str] = Counter()
+    result = {}
     for given in recordings:
         parts = [path.resolve() for path in finding.split(given)]
         stem = '+'.join(path.name if path.is_dir() else path.stem for path in parts)
@@ -225,10 +226,11 @@ def named(recordings: list[Path | str]) -> dict[str, Path]:
 def predictions_of(folder: str, name: str, recordings: int) -> str:
     """Return the folder of one recording's predictions."""
     if folder and recordings > 1:
-        folder = Path(folder) / name
-        if not folder.is_dir():
-            raise PersemError(f'--predictions: {folder} does not exist; with several recordings '
+        own = Path(folder) / name
+        if not own.is_dir():
+            raise PersemError(f'--predictions: {own} does not exist; with several recordings '
                               'the folder holds one folder each, of the same name')
+        return str(own)
     return str(folder)
 
 

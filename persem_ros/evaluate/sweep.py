@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 import itertools
 import json
 import math
-from typing import Any, TYPE_CHECKING
+from typing import Any, TYPE_CHECKING, Union
 
 from persem_ros.errors import PersemError
 from persem_ros.evaluate import run
@@ -33,10 +34,11 @@ METHODS = ('raw2d', 'ema2d', 'majority', 'persem', 'geometry')
 DISTURB = 'disturb.'
 MOST = 2000         # points; more is a mistake in the command line
 
+Value = Union[float, str, tuple[int, ...]]      # of a setting or a disturbance; float: int, bool
+
 
 def parse_vary(
-        items: list[str], config: Config, each: bool = False,
-) -> dict[str, list[float | str | tuple[int, ...]]] | None:
+        items: list[str], config: Config, each: bool = False) -> dict[str, list[Value]]:
     """
     Return {name: list of values} of options like refine.eta=0,0.1,0.3; *each* as of sweep().
 
@@ -79,11 +81,11 @@ def _split(text: str) -> list[str]:
     return [word.strip() for word in words if word.strip()]
 
 
-def _checked(name: str, text: str, config: Config) -> float | str | None:
+def _checked(name: str, text: str, config: Config) -> Value:
     """Return the value that a text means for a setting; refuse what does not fit."""
     if name.startswith(DISTURB):
         try:
-            value = parse(text)
+            value: Value = parse(text)
         except ValueError:
             raise PersemError(f'--vary {name}: cannot read {text!r}') from None
         Disturbance().with_value(name[len(DISTURB):], value)
@@ -93,10 +95,10 @@ def _checked(name: str, text: str, config: Config) -> float | str | None:
 
 
 def sweep(recordings: list[Path | str], out: Path | str, config: Config,
-          axes: dict[str, list[float | str]], methods: tuple[str, ...] = METHODS, labels: str = '',
+          axes: dict[str, list[Value]], methods: Sequence[str] = METHODS, labels: str = '',
           grouped: bool = False, dynamic: bool = True, predictions: str = '', workers: int = 0,
           scheduler: str = '', force: bool = False, figures: bool = True,
-          excerpt: Excerpt = WHOLE, each: bool = False) -> dict[str, Any] | None:
+          excerpt: Excerpt = WHOLE, each: bool = False) -> dict[str, Any]:
     """
     Evaluate recordings at every combination of the values of *axes* (parse_vary).
 
@@ -152,7 +154,7 @@ def sweep(recordings: list[Path | str], out: Path | str, config: Config,
     return result
 
 
-def with_values(task: Task, values: dict[str, float | str]) -> Task:
+def with_values(task: Task, values: dict[str, Value]) -> Task:
     """Return a task with some settings and disturbances changed."""
     disturbance = task.disturbance
     for name, value in values.items():
@@ -188,12 +190,12 @@ def points_table(result: dict[str, Any]) -> Table:
         'sweep', title, heads, columns, rows))
 
 
-def _at(values: dict[str, float | str]) -> str:
+def _at(values: dict[str, Value]) -> str:
     """Return a point's values as text."""
     return ', '.join(f'{name}={_plain(value)}' for name, value in values.items()) or 'nothing'
 
 
-def _point(values: dict[str, float | str], summaries: dict[str, dict[str, Any]]) -> dict[str, Any]:
+def _point(values: dict[str, Value], summaries: dict[str, dict[str, Any]]) -> dict[str, Any]:
     """Return what sweep.json has of one point."""
     rows = {name: {
         'truth_flicker': s['truth_flicker'], 'voxels': s['voxels'],
@@ -203,14 +205,15 @@ def _point(values: dict[str, float | str], summaries: dict[str, dict[str, Any]])
         'methods': {m: {k: row[k] for k in MEASURES} for m, row in s['methods'].items()}}
         for name, s in summaries.items()}
     first = next(iter(rows.values()))
-    average = {key: mean(row[key] for row in rows.values()) for key in first if key != 'methods'}
+    average: dict[str, Any] = {
+        key: mean(row[key] for row in rows.values()) for key in first if key != 'methods'}
     average['methods'] = {m: {k: mean(row['methods'][m][k] for row in rows.values())
                               for k in MEASURES} for m in first['methods']}
     return {'values': {name: _plain(v) for name, v in values.items()}, 'sequences': rows,
             'mean': average}
 
 
-def _request(task: Task, axes: dict[str, list[float | str]]) -> dict[str, Any]:
+def _request(task: Task, axes: dict[str, list[Value]]) -> dict[str, Any]:
     """Return what all points of a folder share, as JSON."""
     request = run.request_of(task)
     request['settings'] = {name: value for name, value in request['settings'].items()
@@ -218,5 +221,5 @@ def _request(task: Task, axes: dict[str, list[float | str]]) -> dict[str, Any]:
     return json.loads(json.dumps({**request, 'axes': sorted(axes)}))
 
 
-def _plain(value: float | str) -> float | str:
+def _plain(value: Value) -> float | str | list[int]:
     return list(value) if isinstance(value, tuple) else value

@@ -8,9 +8,12 @@ from glob import escape
 import json
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from persem_ros.errors import PersemError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 
 @contextmanager
@@ -55,12 +58,12 @@ def replacing(path: Path | str) -> Iterator[Path]:
             work.unlink()
 
 
-def write_bytes(path: Path | str, *parts: Any) -> None:
-    """Write bytes-like *parts* one after the other as the file *path*, whole or not at all."""
+def write_bytes(path: Path | str, *parts: bytes | memoryview | NDArray[Any]) -> None:
+    """Write *parts* one after the other as the file *path*, whole or not at all."""
     with replacing(path) as work:
         with open(work, 'wb') as out:
             for part in parts:
-                out.write(part)
+                out.write(part if isinstance(part, (bytes, memoryview)) else part.data)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterable, Iterator
 from contextlib import closing, contextmanager, ExitStack
 import logging
 import sys
-from typing import Any
+from typing import TypeVar
 
 from tqdm import tqdm
 from tqdm.contrib.logging import logging_redirect_tqdm
 
 
+Item = TypeVar('Item')
+
+
 @contextmanager
 def progress(
-        items: Iterator[Any], what: str, expected: int, unit: str = 'frames') -> Iterator[Any]:
+        items: Generator[Item, None, None], what: str, expected: int, unit: str = 'frames'
+) -> Iterator[Iterable[Item]]:
     """
     Give *items* to be looped over, with a bar on a terminal and nothing elsewhere.
 

@@ -20,18 +20,18 @@ class Field:
 
     Attributes
     ----------
-    waves : ndarray, shape (n, d), float32
+    waves : ndarray, shape (n, d)
         Wave vectors in turns per unit of each coordinate.
-    phases : ndarray, shape (n,), float32
+    phases : ndarray, shape (n,)
         In turns.
 
     """
 
-    waves: np.ndarray
-    phases: np.ndarray
+    waves: NDArray[np.float32]
+    phases: NDArray[np.float32]
 
     def __call__(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the field, shape (m,), float32, at *points*, shape (m, d), float32."""
+        """Return the field, shape (m,), at *points*, shape (m, d)."""
         out = np.empty(len(points), np.float32)
         sum_of_waves(points, self.waves, self.phases, out)
         return out
@@ -51,8 +51,8 @@ def make_field(rng: np.random.Generator, lengths: Sequence[float], waves: int = 
         Number of waves; more are closer to a Gaussian field and slower.
 
     """
-    lengths = np.asarray(lengths, float)
-    vectors = rng.standard_normal((waves, len(lengths))) / (2 * np.pi * lengths)
+    vectors = rng.standard_normal((waves, len(lengths)))
+    vectors /= 2 * np.pi * np.asarray(lengths, float)
     return Field(vectors.astype(np.float32), rng.random(waves).astype(np.float32))
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,10 +38,10 @@ class Shot:
     """One image of the flight: what the sensors say and what is true."""
 
     stamp: int
-    labels: np.ndarray      # (H, W) uint8
-    truth: np.ndarray       # (H, W) uint8
-    depth: np.ndarray       # (H, W) float32, metres, NaN: none
-    color: np.ndarray       # (H, W, 3) uint8
+    labels: NDArray[np.uint8]       # (H, W)
+    truth: NDArray[np.uint8]        # (H, W)
+    depth: NDArray[np.float32]      # (H, W), metres, NaN: none
+    color: NDArray[np.uint8]        # (H, W, 3)
 
 
 class Flight:
@@ -108,7 +108,7 @@ class Flight:
             yield from map(self.shot, range(self.plan.frames))
             return
         with ThreadPoolExecutor(self.workers) as pool:
-            ahead = deque()
+            ahead: deque[Future[Shot]] = deque()
             try:
                 for i in range(self.plan.frames):
                     ahead.append(pool.submit(self.shot, i))
@@ -143,7 +143,8 @@ class Flight:
         depth = measured(view, self.plan.depth_errors, rng)
         return Shot(self.stamps[index], labels, view.labels, depth, view.color)
 
-    def record(self, writer: RecordingWriter, progress: Callable[..., Any] = iter) -> None:
+    def record(self, writer: RecordingWriter,
+               progress: Callable[[Iterator[Shot]], Iterable[Shot]] = iter) -> None:
         """
         Write the flight to a persem_ros.outputs.recording.writer.RecordingWriter.
 

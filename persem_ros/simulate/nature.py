@@ -23,7 +23,7 @@ def plant(
     spot += rng.uniform(-2.2, 2.2, spot.shape)
     luck = rng.random(len(spot))
     ground = terrain.material(spot[:, 0], spot[:, 1])
-    clump = terrain.edges(spot.astype(np.float32) / 3)
+    clump = terrain.edges(spot.astype(np.float32) / np.float32(3))
     density = np.select([ground == INDEX[name] for name in ('forest floor', 'meadow', 'grass')],
                         [.93 - .5 * (clump > 1.0), .05 + .10 * (clump > .9), .26], 0.0)
     bank = np.abs(spot[:, 0] - land.river(spot[:, 1]))
@@ -43,7 +43,8 @@ def _grow(solid: Solid, rng: np.random.Generator, terrain: Terrain, spot: NDArra
     """Add a plant at each of *spot*, shape (n, 2): conifers and broadleaves, *small*: bushes."""
     n = len(spot)
     wood = ground == INDEX['forest floor']
-    conifer = wood & (terrain.edges(spot.astype(np.float32) / 5 + 40) > -.1) & ~small
+    mixed = terrain.edges(spot.astype(np.float32) / np.float32(5) + np.float32(40)) > -.1
+    conifer = wood & mixed & ~small
     broad = ~conifer & ~small
     at = terrain.on(spot)
     size = rng.uniform(.75, 1.25, n)

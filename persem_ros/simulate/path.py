@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,16 +17,16 @@ class Path:
 
     Attributes
     ----------
-    knots : ndarray, shape (n, 6), float64
+    knots : ndarray, shape (n, 6)
         x, y, z in metres, roll, pitch, yaw in radians, every TICK seconds, the first one TICK
         before time 0.
 
     """
 
-    knots: np.ndarray
+    knots: NDArray[np.float64]
 
     @property
-    def duration(self) -> Any:
+    def duration(self) -> float:
         """Return the last time, in seconds, at which the path is known."""
         return (len(self.knots) - 4) * TICK
 
@@ -87,9 +86,9 @@ def make_path(
     count = int(np.ceil(duration / TICK)) + 6
     smooth = max(1.0, 0.3 * spacing / speed)        # seconds over which a turn begins
     margin = int(4 * smooth / TICK)
-    time = (np.arange(-margin, count + margin) - 1) * TICK
+    time = (np.arange(-margin, count + margin, dtype=np.float64) - 1) * TICK
     x, y, heading = _pattern(time * speed + 0.5 * speed, leg, spacing, lines)
-    kernel = np.exp(-0.5 * (np.arange(-margin, margin + 1) * TICK / smooth) ** 2)
+    kernel = np.exp(-0.5 * (np.arange(-margin, margin + 1, dtype=np.float64) * TICK / smooth) ** 2)
     x, y, yaw = (np.convolve(v, kernel / kernel.sum(), 'valid') for v in (x, y, heading))
     time = time[margin:-margin]
     bank = -np.arctan(speed * np.gradient(yaw, TICK) / 9.81) * 0.6     # the gimbal takes the rest

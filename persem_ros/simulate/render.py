@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, TYPE_CHECKING
+from typing import NamedTuple, TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -25,24 +25,34 @@ class View:
 
     Attributes
     ----------
-    depth : ndarray, shape (H, W), float64
+    depth : ndarray, shape (H, W)
         Metres along the optical axis; infinity where nothing is hit.
-    labels : ndarray, shape (H, W), uint8
+    labels : ndarray, shape (H, W)
         Class ids, materials.VOID where nothing is hit.
-    points : ndarray, shape (H, W, 3), float32
+    points : ndarray, shape (H, W, 3)
         What the pixels see, in the map frame, metres.
-    facing : ndarray, shape (H, W), float32
+    facing : ndarray, shape (H, W)
         Cosine of the angle between the ray and the surface's normal.
-    color : ndarray, shape (H, W, 3), uint8
+    color : ndarray, shape (H, W, 3)
         Red, green, blue.
 
     """
 
-    depth: np.ndarray
-    labels: np.ndarray
-    points: np.ndarray
-    facing: np.ndarray
-    color: np.ndarray
+    depth: NDArray[np.float64]
+    labels: NDArray[np.uint8]
+    points: NDArray[np.float32]
+    facing: NDArray[np.float32]
+    color: NDArray[np.uint8]
+
+
+class Canvas(NamedTuple):
+    """A View under way, row by row; colours are linear intensities."""
+
+    depth: NDArray[np.float64]      # (n,)
+    labels: NDArray[np.uint8]       # (n,)
+    points: NDArray[np.float32]     # (n, 3)
+    facing: NDArray[np.float32]     # (n,)
+    color: NDArray[np.float32]      # (n, 3)
 
 
 class Renderer:
@@ -70,25 +80,23 @@ class Renderer:
         n = len(self._rays)
         rays = np.empty((n, 3))
         turned(self._rays, np.ascontiguousarray(T_map_camera[:3, :3]), rays)
-        depth, labels = np.full(n, np.inf), np.full(n, mat.VOID, np.uint8)
-        points, facing = np.zeros((n, 3), np.float32), np.ones(n, np.float32)
-        color = np.empty((n, 3), np.float32)
-        sky(rays, color)
+        out = Canvas(np.full(n, np.inf), np.full(n, mat.VOID, np.uint8),
+                     np.zeros((n, 3), np.float32), np.ones(n, np.float32),
+                     np.empty((n, 3), np.float32))
+        sky(rays, out.color)
         scene, every = self.world.scene, np.arange(n)
-        self._draw(scene, scene.first(origin, rays), every, origin, rays,
-                   (depth, labels, points, facing, color))
-        self._draw_traffic(T_map_camera, time, origin, rays,
-                           (depth, labels, points, facing, color))
+        self._draw(scene, scene.first(origin, rays), every, origin, rays, out)
+        self._draw_traffic(T_map_camera, time, origin, rays, out)
         shape = self.camera.height, self.camera.width
-        color = cv2.GaussianBlur(color.reshape(*shape, 3), (3, 3), 0.55)    # an optic's blur
+        color = cv2.GaussianBlur(out.color.reshape(*shape, 3), (3, 3), 0.55)    # an optic's blur
         shown = np.empty((*shape, 3), np.uint8)
         to_bytes(color.ravel(), shown.ravel())
-        return View(depth.reshape(shape), labels.reshape(shape), points.reshape(*shape, 3),
-                    facing.reshape(shape), shown)
+        return View(out.depth.reshape(shape), out.labels.reshape(shape),
+                    out.points.reshape(*shape, 3), out.facing.reshape(shape), shown)
 
     def _draw(
             self, scene: Scene, hit: NDArray[np.int32], pixels: NDArray[np.int64],
-            origin: NDArray[np.float64], rays: NDArray[np.float64], out: tuple[Any, ...]) -> None:
+            origin: NDArray[np.float64], rays: NDArray[np.float64], out: Canvas) -> None:
         """Draw the triangles *hit* (-1: none) by the rays *pixels* where they are the nearest."""
         depth, labels, points, facing, color = out
         normals = np.empty((len(hit), 3), np.float32)
@@ -102,19 +110,18 @@ class Renderer:
 
     def _draw_traffic(
             self, T_map_camera: NDArray[np.float64], time: float, origin: NDArray[np.float64],
-            rays: NDArray[np.float64], out: tuple[Any, ...]) -> None:
+            rays: NDArray[np.float64], out: Canvas) -> None:
         """Draw the moving vehicles and their shadows, only where the camera sees them."""
         scene = self.world.traffic(time)
         pixels = self._near(T_map_camera, scene.origins)
         if not len(pixels):
             return
-        depth, labels, points, facing, color = out
         hit = scene.first(origin, rays[pixels])
         self._draw(scene, hit, pixels, origin, rays, out)
-        below = pixels[(hit < 0) & np.isfinite(depth[pixels])]
-        start = points[below].astype(float) + 0.05 * SUN
+        below = pixels[(hit < 0) & np.isfinite(out.depth[pixels])]
+        start = out.points[below].astype(float) + 0.05 * SUN
         dark = scene.caster.intersects_any(start, np.broadcast_to(SUN, start.shape))
-        color[below[dark]] *= 0.35
+        out.color[below[dark]] *= 0.35
 
     def _near(
             self, T_map_camera: NDArray[np.float64], points: NDArray[np.float64]
@@ -137,7 +144,7 @@ def _slopes(terrain: Terrain) -> NDArray[np.float32]:
     """Return the terrain's gradient every STEP metres, shape (nx, ny, 2), float32."""
     x, y = (np.arange(-half, half + .1, land.STEP) for half in (land.HALF_X, land.HALF_Y))
     grid = np.meshgrid(x, y, indexing='ij')
-    return np.stack(np.gradient(terrain.height(*grid), land.STEP), -1).astype(np.float32)
+    return np.stack(list(np.gradient(terrain.height(*grid), land.STEP)), -1).astype(np.float32)
 
 
 @cached

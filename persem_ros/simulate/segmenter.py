@@ -177,8 +177,8 @@ def shifted_borders(rng: np.random.Generator, labels: NDArray[np.uint8], strengt
     shift = [picture_noise(rng, height, width, length) * np.float32(strength * width)
              for _ in range(2)]
     x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
-    return cv2.remap(labels, x + shift[0], y + shift[1], cv2.INTER_NEAREST,
-                     borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(cv2.remap(labels, x + shift[0], y + shift[1], cv2.INTER_NEAREST,
+                                borderMode=cv2.BORDER_REPLICATE), np.uint8)
 
 
 def _sprinkle(rng: np.random.Generator, labels: NDArray[np.uint8], share: float) -> None:

@@ -3,14 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import NamedTuple, Union
 
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.simulate.materials import INDEX
 import trimesh
 
+# Three numbers, x y z or red green blue, as a vector or written out.
+Three = Union[NDArray[np.float64], tuple[float, float, float]]
+
 WHITE = (1.0, 1.0, 1.0)
+
+
+class Triangles(NamedTuple):
+    """A finished Solid: see there."""
+
+    vertices: NDArray[np.float64]       # (n, 3)
+    faces: NDArray[np.int64]            # (m, 3)
+    material: NDArray[np.uint8]         # (m,)
+    tint: NDArray[np.float32]           # (m, 3)
+    base: NDArray[np.float32]           # (m,)
 
 
 @dataclass(eq=False)
@@ -20,29 +33,28 @@ class Solid:
 
     Attributes
     ----------
-    vertices : list of ndarray, shape (., 3), float64
+    vertices : list of ndarray, shape (., 3)
         Metres.
-    faces : list of ndarray, shape (., 3), int64
-    material : list of ndarray, shape (faces,), uint8
-    tint : list of ndarray, shape (faces, 3), float32
+    faces : list of ndarray, shape (., 3)
+    material : list of ndarray, shape (faces,)
+    tint : list of ndarray, shape (faces, 3)
         Multiplies the albedo of the material.
-    base : list of ndarray, shape (faces,), float32
+    base : list of ndarray, shape (faces,)
         z of the foot of a wall, metres: floors are counted from there.
 
     """
 
-    vertices: list[Any] = field(default_factory=list)
-    faces: list[Any] = field(default_factory=list)
-    material: list[Any] = field(default_factory=list)
-    tint: list[Any] = field(default_factory=list)
-    base: list[Any] = field(default_factory=list)
+    vertices: list[NDArray[np.float64]] = field(default_factory=list)
+    faces: list[NDArray[np.int64]] = field(default_factory=list)
+    material: list[NDArray[np.uint8]] = field(default_factory=list)
+    tint: list[NDArray[np.float32]] = field(default_factory=list)
+    base: list[NDArray[np.float32]] = field(default_factory=list)
     count: int = 0
 
     def add(
             self, vertices: NDArray[np.float64], faces: NDArray[np.int64], material: int | str,
-            tint: NDArray[np.float64] | tuple[float, float, float] = WHITE, base: float = 0.0
-    ) -> None:
-        """Add triangles; material, tint and base are one for all or one a face."""
+            tint: NDArray[np.float64] | Three = WHITE, base: float = 0.0) -> None:
+        """Add triangles; *tint* is one for all or one a face."""
         n = len(faces)
         self.vertices.append(np.asarray(vertices, float))
         self.faces.append(np.asarray(faces) + self.count)
@@ -53,11 +65,12 @@ class Solid:
         self.base.append(np.broadcast_to(np.float32(base), n))
         self.count += len(vertices)
 
-    def arrays(self) -> tuple[Any, ...]:
-        """Return (vertices, faces, material, tint, base), each as one array."""
-        return (np.concatenate(self.vertices), np.concatenate(self.faces).astype(np.int64),
-                np.concatenate(self.material), np.concatenate(self.tint),
-                np.concatenate(self.base))
+    def arrays(self) -> Triangles:
+        """Return everything, each as one array."""
+        return Triangles(np.concatenate(self.vertices),
+                         np.concatenate(self.faces).astype(np.int64),
+                         np.concatenate(self.material), np.concatenate(self.tint),
+                         np.concatenate(self.base))
 
 
 _SQUARE = ((-.5, -.5), (.5, -.5), (.5, .5), (-.5, .5))
@@ -67,26 +80,22 @@ _SIDES = np.array([[0, 1, 5], [0, 5, 4], [1, 2, 6], [1, 6, 5], [2, 3, 7], [2, 7,
 _TOP = np.array([[4, 5, 6], [4, 6, 7]])
 
 
-def placed(
-        vertices: NDArray[np.float64], x: float, y: float, z: float, yaw: float
-) -> NDArray[np.float64]:
-    """Return *vertices*, shape (n, 3), turned by *yaw* (rad) and moved to x, y, z."""
+def placed(vertices: NDArray[np.float64], at: Three, yaw: float) -> NDArray[np.float64]:
+    """Return *vertices*, shape (n, 3), turned by *yaw* (rad) and moved to *at*."""
     c, s = np.cos(yaw), np.sin(yaw)
-    return vertices @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + (x, y, z)
+    return vertices @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + at
 
 
-def box(solid: Solid, at: NDArray[np.float64], yaw: float, size: tuple[float, float, float],
-        material: str, tint: NDArray[np.float64] | tuple[float, float, float] = WHITE,
+def box(solid: Solid, at: Three, yaw: float, size: Three, material: str, tint: Three = WHITE,
         top: str | None = None) -> None:
     """Add an upright box without bottom; *at* is the middle of its foot, *size* its extent."""
-    vertices = placed(_BOX * size, *at, yaw)
+    vertices = placed(_BOX * size, at, yaw)
     solid.add(vertices, _SIDES, material, tint, at[2])
     solid.add(vertices, _TOP, top or material, tint, at[2])
 
 
-def house(solid: Solid, at: NDArray[np.float64], yaw: float,
-          size: NDArray[np.float64] | tuple[float, float, float], roof: str,
-          tint: NDArray[np.float64], roof_tint: NDArray[np.float64]) -> None:
+def house(solid: Solid, at: Three, yaw: float, size: Three, roof: str, tint: Three,
+          roof_tint: Three) -> None:
     """
     Add a house; *size* is length, width, height of the eaves; *roof* gable, hip or flat.
 
@@ -95,18 +104,18 @@ def house(solid: Solid, at: NDArray[np.float64], yaw: float,
     """
     length, width, eaves = size
     at = np.asarray(at, float) - (0, 0, .5)
-    walls = placed(_BOX * (length, width, eaves + .5), *at, yaw)
+    walls = placed(_BOX * (length, width, eaves + .5), at, yaw)
     solid.add(walls, _SIDES, 'wall', tint, at[2] + .5)
     if roof == 'flat':
         solid.add(walls, _TOP, 'flat roof', roof_tint)
         for side in (-1, 1):        # the parapet
             for along, across, turn in ((length, width, 0), (width, length, np.pi / 2)):
-                middle = placed(np.array([[0, side * (across / 2 - .15), eaves + .5]]), *at,
+                middle = placed(np.array([[0, side * (across / 2 - .15), eaves + .5]]), at,
                                 yaw + turn)[0]
                 box(solid, middle, yaw + turn, (along, .3, .5), 'flat roof', tint)
         for k in range(2):          # what stands on flat roofs
-            spot = (length * (.25 - .45 * k), width * (.2 - .3 * k), eaves + .5)
-            spot = placed(np.array([spot]), *at, yaw)[0]
+            along, across = length * (.25 - .45 * k), width * (.2 - .3 * k)
+            spot = placed(np.array([[along, across, eaves + .5]]), at, yaw)[0]
             box(solid, spot, yaw, (2.2 + k, 1.8, 1.1 + .7 * k), 'flat roof', roof_tint)
         return
     over = .45
@@ -117,14 +126,14 @@ def house(solid: Solid, at: NDArray[np.float64], yaw: float,
                       [-ridge, 0, eaves + .5 + rise], [ridge, 0, eaves + .5 + rise]])
     slopes = np.array([[0, 1, 5], [0, 5, 4], [2, 3, 4], [2, 4, 5]])
     ends = np.array([[1, 2, 5], [3, 0, 4]])
-    solid.add(placed(shell, *at, yaw), slopes, 'tiles', roof_tint)
+    solid.add(placed(shell, at, yaw), slopes, 'tiles', roof_tint)
     if roof == 'hip':
-        solid.add(placed(shell, *at, yaw), ends, 'tiles', roof_tint)
+        solid.add(placed(shell, at, yaw), ends, 'tiles', roof_tint)
     else:
         gable = shell.copy()
         gable[:, 0] = np.sign(gable[:, 0]) * length / 2
-        solid.add(placed(gable, *at, yaw), ends, 'wall', tint, 1e4)     # no windows
-    chimney = placed(np.array([[length * .22, width * .12, eaves + .5 + rise * .45]]), *at, yaw)[0]
+        solid.add(placed(gable, at, yaw), ends, 'wall', tint, 1e4)     # no windows
+    chimney = placed(np.array([[length * .22, width * .12, eaves + .5 + rise * .45]]), at, yaw)[0]
     box(solid, chimney, yaw, (.8, .6, rise * .55 + .7), 'wall', (.55, .38, .32), 'flat roof')
 
 
@@ -202,7 +211,7 @@ def _cone(sides: int = 9) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 
 
 def strip(solid: Solid, points: NDArray[np.float64], height: float, width: float, material: str,
-          tint: NDArray[np.float64] = WHITE) -> None:
+          tint: Three = WHITE) -> None:
     """Add a wall, fence or hedge along the polyline *points*, shape (n, 3), metres."""
     for a, b in zip(points[:-1], points[1:]):
         along = b - a
@@ -210,22 +219,21 @@ def strip(solid: Solid, points: NDArray[np.float64], height: float, width: float
         box(solid, (a + b) / 2 - (0, 0, .3), np.arctan2(along[1], along[0]), size, material, tint)
 
 
-def vehicle(solid: Solid, at: NDArray[np.float64], yaw: float, tint: NDArray[np.float64],
-            truck: bool = False) -> None:
+def vehicle(solid: Solid, at: Three, yaw: float, tint: Three, truck: bool = False) -> None:
     """Add a car or a truck; *at* is the middle of its foot, x of the vehicle is forward."""
     length, width = (7.2, 2.4) if truck else (4.3, 1.8)
     body = np.array([length, width, .75])
     at = np.asarray(at, float)
     if truck:
         box(solid, at + (0, 0, .45), yaw, (length, width, .4), 'glass')
-        cab = placed(np.array([[length / 2 - 1, 0, .8]]), *at, yaw)[0]
+        cab = placed(np.array([[length / 2 - 1, 0, .8]]), at, yaw)[0]
         box(solid, cab, yaw, (1.9, width * .95, 1.7), 'paint', tint)
-        load = placed(np.array([[-.9, 0, .85]]), *at, yaw)[0]
+        load = placed(np.array([[-.9, 0, .85]]), at, yaw)[0]
         box(solid, load, yaw, (length - 2.1, width, 2.3), 'paint', (.95, .95, .93))
         return
     box(solid, at + (0, 0, .25), yaw, body, 'paint', tint)
     low = _BOX[:4] * (length * .62, width * .92, 1)
     high = _BOX[:4] * (length * .38, width * .78, 1)
     cabin = np.concatenate([low + (-.25, 0, 1.0), high + (-.30, 0, 1.5)])
-    solid.add(placed(cabin, *at, yaw), _SIDES, 'glass')
-    solid.add(placed(cabin, *at, yaw), _TOP, 'paint', tint)
+    solid.add(placed(cabin, at, yaw), _SIDES, 'glass')
+    solid.add(placed(cabin, at, yaw), _TOP, 'paint', tint)

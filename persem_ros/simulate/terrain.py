@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,8 @@ STREETS_Y = (-162.0, -108.0, -54.0, 56.0, 110.0, 164.0)     # and east-west; the
 TOWN = 26.0                     # metres: the town lies east of here
 FOREST = -40.0                  # metres: the forest lies west of here
 
+Metres = TypeVar('Metres', float, NDArray[np.float32], NDArray[np.float64])
+
 
 @dataclass(frozen=True, eq=False)
 class Terrain:
@@ -33,19 +35,19 @@ class Terrain:
     ----------
     hills : Field
         Over (x, y).
-    ground : ndarray, shape (rows, columns), uint8
+    ground : ndarray, shape (rows, columns)
         Material of the cell at x = -HALF_X + CELL * column, y = -HALF_Y + CELL * row.
     edges : Field
         Over (x, y); makes borders of fields and woods irregular.
 
     """
 
-    hills: object
-    edges: object
-    ground: np.ndarray
+    hills: Field
+    edges: Field
+    ground: NDArray[np.uint8]
 
     def height(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return z of the ground at x, y (arrays of one shape), metres, float64."""
+        """Return z of the ground at x, y (arrays of one shape), metres."""
         return _height(self.hills, x, y)
 
     def on(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -54,7 +56,7 @@ class Terrain:
         return np.column_stack([points, self.height(points[:, 0], points[:, 1])])
 
     def material(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.uint8]:
-        """Return the material of the ground at x, y (arrays of one shape), uint8."""
+        """Return the material of the ground at x, y (arrays of one shape)."""
         column = np.clip(((np.asarray(x) + HALF_X) / CELL).astype(int), 0,
                          self.ground.shape[1] - 1)
         row = np.clip(((np.asarray(y) + HALF_Y) / CELL).astype(int), 0, self.ground.shape[0] - 1)
@@ -89,18 +91,18 @@ def make_terrain(rng: np.random.Generator) -> Terrain:
     return Terrain(hills, edges, ground)
 
 
-def river(y: NDArray[Any]) -> NDArray[Any]:
-    """Return x of the river's middle at y, metres."""
+def river(y: Metres) -> Metres:
+    """Return x of the river's middle at y."""
     return -8 + 13 * np.sin(y / 62 + .6) + 5 * np.sin(y / 23)
 
 
-def main_road(x: NDArray[np.float32] | float) -> NDArray[np.float32] | float:
-    """Return y of the main road's middle at x, metres."""
+def main_road(x: Metres) -> Metres:
+    """Return y of the main road's middle at x."""
     return 5 * np.sin(x / 55) * np.clip((np.abs(x - 5) - 22) / 60, 0, 1)
 
 
-def track(y: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return x of the forest track's middle at y, metres."""
+def track(y: Metres) -> Metres:
+    """Return x of the forest track's middle at y."""
     return -92 + 14 * np.sin(y / 37 + 1) + 4 * np.sin(y / 13)
 
 
@@ -124,7 +126,7 @@ def smoothstep(t: NDArray[np.float64]) -> NDArray[np.float64]:
 def _sampled(field: Field, x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the field over (x, y) as (len(y), len(x)): every sixteenth cell, then blown up."""
     points = np.stack(np.meshgrid(x[::16], y[::16]), -1)
-    coarse = field(points.reshape(-1, 2)).reshape(points.shape[:2])
+    coarse = field(points.reshape(-1, 2)).reshape(points.shape[0], points.shape[1])
     rows = np.minimum(np.arange(len(y)) / 16, coarse.shape[0] - 1.001)
     columns = np.minimum(np.arange(len(x)) / 16, coarse.shape[1] - 1.001)
     i, j = rows.astype(int), columns.astype(int)

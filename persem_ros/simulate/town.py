@@ -26,7 +26,7 @@ def houses(solid: Solid, rng: np.random.Generator, terrain: Terrain) -> NDArray[
         for low, high in zip(blocks_y[:-1], blocks_y[1:]):
             if right - left > 20 and high - low > 20:
                 _block(solid, rng, terrain, taken, left + 5.5, right - 5.5, low + 6, high - 6)
-    hut = terrain.on([(-106.0, 22.0), (-60.0, -78.0), (-92.0, 60.0)])
+    hut = terrain.on(np.array([(-106.0, 22.0), (-60.0, -78.0), (-92.0, 60.0)]))
     for at in hut:
         shapes.house(solid, at, rng.uniform(0, 3), (9, 6, 3), 'gable', WALLS[2] * .7, ROOFS[1])
     taken.append(np.column_stack([hut[:, :2], np.full(len(hut), 9.0)]))
@@ -86,8 +86,8 @@ def _lot(solid: Solid, rng: np.random.Generator, terrain: Terrain,
 
 def bridge(solid: Solid) -> None:
     """Build a deck with two parapets over the river, along the main road."""
-    middle = float(land.river(0.0))
-    y = float(land.main_road(middle))
+    middle = land.river(0.0)
+    y = land.main_road(middle)
     shapes.box(solid, (middle, y, land.BRIDGE_TOP - .8), 0.0, (32, 8.6, .8), 'concrete',
                top='asphalt')
     for side in (-1, 1):

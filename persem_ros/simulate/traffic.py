@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ class Mover:
     y1: float
     speed: float
     start: float
-    tint: tuple[Any, ...]
+    tint: tuple[float, float, float]
     truck: bool
 
     def at(self, time: float) -> tuple[float, float, float]:
@@ -53,16 +53,16 @@ class Fleet:
     Attributes
     ----------
     movers : tuple of Mover
-    arrays : tuple
-        shapes.Solid.arrays() of the vehicles, each at the origin, heading along x.
-    owner : ndarray, shape (vertices,), int
+    arrays : shapes.Triangles
+        Those of the vehicles, each at the origin, heading along x.
+    owner : ndarray, shape (vertices,)
         The mover that each vertex belongs to.
 
     """
 
-    movers: tuple[Any, ...]
-    arrays: tuple[Any, ...]
-    owner: np.ndarray
+    movers: tuple[Mover, ...]
+    arrays: shapes.Triangles
+    owner: NDArray[np.int64]
 
     def at(self, time: float) -> NDArray[np.float64]:
         """Return x, y, yaw of all vehicles at *time* in seconds, each of shape (movers,)."""
@@ -72,7 +72,7 @@ class Fleet:
                  yaw: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the vertices with the vehicles at x, y, z, yaw, shape (vertices, 3)."""
         c, s = np.cos(yaw)[self.owner], np.sin(yaw)[self.owner]
-        v = self.arrays[0]
+        v = self.arrays.vertices
         return np.stack([c * v[:, 0] - s * v[:, 1] + x[self.owner],
                          s * v[:, 0] + c * v[:, 1] + y[self.owner],
                          v[:, 2] + z[self.owner]], -1)
@@ -97,7 +97,7 @@ def parked(solid: Solid, rng: np.random.Generator, terrain: Terrain) -> None:
                   for side in (-1, 1)
                   if rng.random() < .28 and np.abs(np.array(land.STREETS_X) - x).min() > 9]
     for x, y, yaw in spots:
-        at = terrain.on((x, y))[0]
+        at = terrain.on(np.array([x, y]))[0]
         shapes.vehicle(solid, at, yaw + rng.uniform(-.04, .04), PAINTS[rng.integers(len(PAINTS))])
 
 

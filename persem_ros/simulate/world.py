@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +13,23 @@ from persem_ros.simulate.materials import GROUND
 from persem_ros.simulate.nature import plant
 from persem_ros.simulate.shading import shadow_map
 from persem_ros.simulate.town import bridge, houses
-from persem_ros.simulate.traffic import make_fleet, movers, parked
+from persem_ros.simulate.traffic import Fleet, make_fleet, movers, parked
 import trimesh
 from trimesh.ray.ray_pyembree import RayMeshIntersector
+
+
+class Caster(Protocol):
+    """What is used of trimesh's RayMeshIntersector; rays are (m, 3) and (m, 3)."""
+
+    def intersects_first(
+            self, origins: NDArray[np.float64], directions: NDArray[np.float64]
+    ) -> NDArray[np.int32]:
+        """Return the triangle, -1 for none, that each ray hits first."""
+
+    def intersects_any(
+            self, origins: NDArray[np.float64], directions: NDArray[np.float64]
+    ) -> NDArray[np.bool_]:
+        """Return whether each ray hits anything."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,23 +39,23 @@ class Scene:
 
     Attributes
     ----------
-    origins, normals : ndarray, shape (n, 3), float64
+    origins, normals : ndarray, shape (n, 3)
         A corner and the unit normal of every triangle, metres.
-    material : ndarray, shape (n,), uint8
+    material : ndarray, shape (n,)
         materials.GROUND for the terrain.
-    tint : ndarray, shape (n, 3), float32
-    base : ndarray, shape (n,), float32
+    tint : ndarray, shape (n, 3)
+    base : ndarray, shape (n,)
         z of the foot of walls, metres.
-    caster : trimesh.ray.ray_pyembree.RayMeshIntersector
+    caster : Caster
 
     """
 
-    origins: np.ndarray
-    normals: np.ndarray
-    material: np.ndarray
-    tint: np.ndarray
-    base: np.ndarray
-    caster: object
+    origins: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    material: NDArray[np.uint8]
+    tint: NDArray[np.float32]
+    base: NDArray[np.float32]
+    caster: Caster
 
     def first(
             self, origin: NDArray[np.float64], directions: NDArray[np.float64]
@@ -65,9 +80,9 @@ def make_scene(
 class World:
     """Everything that is flown over: terrain, what stands still, what moves."""
 
-    terrain: object
+    terrain: land.Terrain
     scene: Scene
-    fleet: object
+    fleet: Fleet
 
     @cached_property
     def shadow(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

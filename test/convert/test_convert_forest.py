@@ -191,6 +191,7 @@ def test_refusals(tmp_path, capsys):
     assert '--scale 2: expected' in refused('--scale', '2')
     assert 'rgb24 needs an 8-bit colour image' in refused('--depth-coding', 'rgb24')
     assert 'colours that the legend does not have' in refused('--legend', 'uavscenes')
+    assert 'colours instead of ids, and no legend' in refused('--legend', '')
     (folder / 'airsim_rec.txt').write_text('POS_X ImageFile\n1 a.png\n')
     assert 'expected the columns POS_X' in refused()
 

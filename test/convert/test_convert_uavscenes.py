@@ -442,6 +442,7 @@ def test_refusals_of_folders(root, extras, tmp_path):
     refusal(tmp_path / 'nowhere', tmp_path, 'no such folder')
     refusal(root, tmp_path, "of the run 'AMtown09'; runs there: interval5_AMtown01",
             name='AMtown09')
+    refusal(root, tmp_path, "of the run ''; runs there: interval5_AMtown01", name='')
     refusal(root, tmp_path, "'AMtown01' at interval 1; runs there: interval5_", interval=1)
     refusal(extras, tmp_path, 'no runs of UAVScenes there; ROOT should hold what the archives '
             'unpack to, interval5_CAM_LIDAR/interval5_AMtown01/sampleinfos_interpolated.json for')

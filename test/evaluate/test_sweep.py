@@ -81,6 +81,7 @@ def test_order_of_integration_is_an_axis(tmp_path, recording):
     (['disturb.posenoise=1'], "did you mean 'disturb.pose_noise'"),
     (['disturb.order=backwards'], 'recorded, reversed, shuffled'),
     (['disturb.depth_noise=-1'], 'a number from 0 on'),
+    (['disturb.pose_noise=[1,2]'], 'a number from 0 on'),
     (['refine.neighbours=' + ','.join(['6'] * 3)] + ['memory.voxel_size=' + ','.join(
         str(0.1 + k / 1000) for k in range(2001))], '1 to 2000 points'),
 ])

@@ -38,8 +38,9 @@ LOG = logging.getLogger(__name__)
 CODED_METRES = 1000.0       # of the largest 24-bit number, as CARLA packs depth
 
 
-def convert_forest(root: str, name: str, path: str, options: ForestOptions | None = None,
-                   legend: Legend | None = None, **writing: Any) -> str | None:
+def convert_forest(root: Path | str, name: str, path: Path | str,
+                   options: ForestOptions | None = None, legend: Legend | None = None,
+                   **writing: Any) -> str:
     """
     Convert one sequence.
 
@@ -74,7 +75,7 @@ def convert_forest(root: str, name: str, path: str, options: ForestOptions | Non
 class Sequence:
     """The files of one sequence that belong together."""
 
-    def __init__(self, folder: Path, options: ForestOptions, legend: Legend) -> None:
+    def __init__(self, folder: Path, options: ForestOptions, legend: Legend | None) -> None:
         self.options, self.legend = options, legend
         found = {'labels': find(folder, 'labels', options.labels, bool(options.predictions)),
                  'depth': find(folder, 'depth', options.depth),
@@ -101,11 +102,14 @@ class Sequence:
                 f'({some(self.inputs)}), {len(found["depth"])} depth files, '
                 f'{len(self.poses.by_key)} poses; the names must match')
         report_dropped(dropped)
-        self.keys = chosen(sorted(left, key=self.stamps.get), options.frames, options.every)
+        left.sort(key=self.stamps.__getitem__)
+        self.keys = chosen(left, options.frames, options.every)
 
     def pose(self, key: str) -> NDArray[np.float64]:
         """Return T_map_camera of a frame."""
-        return axes.optical_pose(forest_poses.pose_of_image(self.poses, key), *self.conventions)
+        T = forest_poses.pose_of_image(self.poses, key)
+        assert T is not None, 'frames without a pose were left out'
+        return axes.optical_pose(T, *self.conventions)
 
     @property
     def conventions(self) -> tuple[str, str, str]:
@@ -150,6 +154,9 @@ class Sequence:
             if ids.min() < 0 or ids.max() > 65535:
                 raise PersemError(f'{path}: expected ids from 0 to 65535')
             return ids.astype(np.uint8 if ids.max() < 256 else np.uint16)
+        if self.legend is None:
+            raise PersemError(f'{path}: colours instead of ids, and no legend that says which are '
+                              'whose; give one with --legend')
         return ids_of_colors(array[..., 2::-1], self.legend, path)
 
     def read_depth(self, key: str) -> NDArray[np.float32]:

@@ -85,7 +85,7 @@ class ForestOptions:
     every: int = 1
 
 
-def folder_of(root: str, name: str) -> Path | None:
+def folder_of(root: Path | str, name: str) -> Path:
     """Return a sequence's folder, which the archives may hold twice (seq1/seq1)."""
     for folder in (Path(root) / name / name, Path(root) / name):
         if folder.is_dir():
@@ -96,7 +96,7 @@ def folder_of(root: str, name: str) -> Path | None:
                       + (f'; there are {some(there, 12)}' if there else ''))
 
 
-def find(folder: Path, what: str, given: str, optional: bool = False) -> dict[str, Path] | None:
+def find(folder: Path, what: str, given: str, optional: bool = False) -> dict[str, Path]:
     """Return {key: path} of the pattern *given*, or of the first usual one that has files."""
     for pattern in [given] if given else LAYOUTS[what]:
         found = files_of(folder, pattern)
@@ -111,7 +111,7 @@ def find(folder: Path, what: str, given: str, optional: bool = False) -> dict[st
 
 def find_poses(
         folder: Path, given: str, keys: list[str], pitch: float
-) -> tuple[Poses, dict[str, NDArray[np.float64]], bool] | None:
+) -> tuple[Poses, dict[str, NDArray[np.float64]], bool]:
     """Return (Poses, {key: K}, whether they are AirSim's)."""
     for pattern in [given] if given else LAYOUTS['pose']:
         path = folder / pattern

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 import json
-from typing import Any, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ def is_airsim(path: Path) -> bool:
     return read_text(path).split('\n', 1)[0].split()[-1:] == ['ImageFile']
 
 
-def airsim_poses(path: Path, pitch: float = 0.0) -> Poses | None:
+def airsim_poses(path: Path, pitch: float = 0.0) -> Poses:
     """
     Return the Poses of AirSim's airsim_rec.txt by the name of the image, without its ending.
 
@@ -62,7 +62,7 @@ def airsim_poses(path: Path, pitch: float = 0.0) -> Poses | None:
     return poses
 
 
-def metadata_poses(files: dict[str, Path]) -> tuple[Poses, dict[str, NDArray[np.float64]]] | None:
+def metadata_poses(files: dict[str, Path]) -> tuple[Poses, dict[str, NDArray[np.float64]]]:
     """
     Return (Poses, {key: K}) of WildUAV's metadata, {key: path} of one JSON file per image.
 
@@ -77,7 +77,9 @@ def metadata_poses(files: dict[str, Path]) -> tuple[Poses, dict[str, NDArray[np.
             content = json.loads(read_text(path))
         except (ValueError, RecursionError):
             raise PersemError(f'{path}: expected JSON') from None
-        R = K = t = None
+        R: NDArray[np.float64] | None = None
+        K: NDArray[np.float64] | None = None
+        t: NDArray[np.float64] | None = None
         for values in _arrays(content):
             if values.size == 3 and t is None:
                 t = values
@@ -87,9 +89,10 @@ def metadata_poses(files: dict[str, Path]) -> tuple[Poses, dict[str, NDArray[np.
                     R = matrix if R is None else R
                 elif np.allclose(matrix[2], [0, 0, 1]) and matrix[0, 0] > 0:
                     K = matrix if K is None else K
-        missing = [name for name, value in (('rotation of 9 numbers', R), (
-            'translation of 3 numbers', t), ('camera matrix of 9 numbers', K)) if value is None]
-        if missing:
+        if R is None or t is None or K is None:
+            missing = [name for name, value in (
+                ('rotation of 9 numbers', R), ('translation of 3 numbers', t),
+                ('camera matrix of 9 numbers', K)) if value is None]
             raise PersemError(f'{path}: found no {" and no ".join(missing)}; matrices are stored '
                               'column by column')
         poses.by_key[key] = rigid(np.column_stack([R, t]), path)
@@ -97,7 +100,7 @@ def metadata_poses(files: dict[str, Path]) -> tuple[Poses, dict[str, NDArray[np.
     return poses, intrinsics
 
 
-def _arrays(content: dict[str, Any] | list[float | list[float]]) -> Iterator[NDArray[np.float64]]:
+def _arrays(content: object) -> Iterator[NDArray[np.float64]]:
     """Yield every list of numbers in parsed JSON, nested ones flat, in the file's order."""
     values = content.values() if isinstance(content, dict) else \
         content if isinstance(content, list) else ()
@@ -111,12 +114,13 @@ def _arrays(content: dict[str, Any] | list[float | list[float]]) -> Iterator[NDA
         yield from _arrays(value)
 
 
-def pose_of_image(poses: Poses, key: str) -> NDArray[np.float64]:
+def pose_of_image(poses: Poses, key: str) -> NDArray[np.float64] | None:
     """Return the pose of an image, by its name or by its number; None where there is none."""
     if key in poses.by_key:
         return poses.by_key[key]
     names = {canonical(name): name for name in poses.by_key}
-    return poses.by_key.get(names.get(canonical(key)))
+    name = names.get(canonical(key))
+    return None if name is None else poses.by_key[name]
 
 
 def fov_matrix(width: int, height: int, fov: float) -> NDArray[np.float64]:

@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 LOG = logging.getLogger(__name__)
 
 
-def convert_frames(folder: Path, path: Path, options: FramesOptions | None = None,
-                   legend: Legend | None = None, **writing: Any) -> str | None:
+def convert_frames(folder: Path | str, path: Path | str, options: FramesOptions | None = None,
+                   legend: Legend | None = None, **writing: Any) -> str:
     """
     Convert a folder of images and poses.
 
@@ -92,7 +92,7 @@ def _trajectory(
 
 def _fitting_K(
         camera: Intrinsics, item: Item, unit: float | None, options: FramesOptions
-) -> NDArray[np.float64] | None:
+) -> NDArray[np.float64]:
     """Return K for the depth images' size, or refuse a camera of another shape."""
     height, width = read_depth(item.depth, unit, options.depth_invalid)[0].shape
     K, size = camera.K, camera.size or (width, height)
@@ -117,7 +117,8 @@ def _check(items: list[Item], poses: Poses, K: NDArray[np.float64], unit: float 
         len(items), lambda i: metres(*read_depth(items[i].depth, unit, options.depth_invalid)),
         lambda i: poses.at(items[i].key, items[i].depth_stamp))
     if poses.other is not None:
-        there = {i: poses.other.at(items[i].key, items[i].depth_stamp) for i in depths}
+        there = {i: T for i in depths if (
+            T := poses.other.at(items[i].key, items[i].depth_stamp)) is not None}
         if axes.fits_better(depths, there, places, K, (options.direction, options.axes)):
             poses, places = poses.other, there
             LOG.warning('the quaternions of the poses are read in the order %s: depth of one '

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 import logging
 from pathlib import Path
-from typing import Any, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 from persem_ros.convert.files import canonical, files_of, some
 from persem_ros.convert.intrinsics import is_numbers
@@ -74,7 +74,7 @@ class FramesOptions:
     truth: str = ''
     intrinsics: str = ''
     depth_unit: str = ''
-    depth_invalid: tuple[Any, ...] = (0, 65535)
+    depth_invalid: tuple[int, ...] = (0, 65535)
     stamps: str = 'auto'
     rate: float = 30.0
     start: float = 1.0
@@ -110,10 +110,10 @@ class Item:
     labels: Path
     depth: Path
     depth_stamp: int
-    extra: dict[Any, Any] = field(default_factory=dict)
+    extra: dict[str, tuple[int, Path]] = field(default_factory=dict)
 
 
-def find_frames(folder: Path, options: FramesOptions) -> tuple[list[Item], Poses] | None:
+def find_frames(folder: Path, options: FramesOptions) -> tuple[list[Item], Poses]:
     """
     Return the frames that have labels, depth and a pose, and the poses.
 
@@ -168,7 +168,8 @@ def find_frames(folder: Path, options: FramesOptions) -> tuple[list[Item], Poses
 def _complete(times: dict[str, int], files: dict[str, dict[str, Path]],
               partners: dict[str, dict[str, tuple[str, int]]], poses: Poses) -> list[Item]:
     """Return the Items that have depth and a pose; say which frames are left out."""
-    dropped = {'without depth': [], 'without a pose': [], 'with a lost pose (NaN, Inf)': []}
+    dropped: dict[str, list[str]] = {
+        'without depth': [], 'without a pose': [], 'with a lost pose (NaN, Inf)': []}
     items = []
     for key, stamp in times.items():
         if key not in partners['depth']:
@@ -200,7 +201,7 @@ def _find(folder: Path, what: str, pattern: str) -> dict[str, Path]:
 
 
 def _find_poses(
-        folder: Path, options: FramesOptions, keys: list[str], stamped: bool) -> Poses | None:
+        folder: Path, options: FramesOptions, keys: list[str], stamped: bool) -> Poses:
     for candidate in [options.pose] if options.pose else LAYOUTS['pose']:
         path = folder / candidate
         if path.is_file():
@@ -275,7 +276,7 @@ def _near(
         times: dict[str, int], other_times: dict[str, int], tolerance: int
 ) -> Iterator[tuple[int, str, str]]:
     """Yield (difference, key, other) of all pairs within *tolerance* nanoseconds."""
-    keys, others = sorted(times, key=times.get), sorted(other_times, key=other_times.get)
+    keys, others = (sorted(these, key=these.__getitem__) for these in (times, other_times))
     first = 0
     for key in keys:
         while first < len(others) and other_times[others[first]] < times[key] - tolerance:
@@ -303,7 +304,7 @@ def say_unregistered(folder: Path) -> None:
                  'computed on colour lie beside the depth by some pixels', folder)
 
 
-def intrinsics_source(folder: Path, options: FramesOptions) -> Path | None:
+def intrinsics_source(folder: Path, options: FramesOptions) -> Path | str:
     """Return what read_intrinsics takes: four numbers, or a file."""
     if is_numbers(options.intrinsics):
         return options.intrinsics

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import ast
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 import logging
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.convert.files import read_text
 from persem_ros.convert.poses import rigid
 from persem_ros.errors import PersemError
@@ -37,9 +38,9 @@ class Calibration:
 
     """
 
-    T_camera_lidar: np.ndarray
-    K: np.ndarray | None = None
-    D: np.ndarray = ()
+    T_camera_lidar: NDArray[np.float64]
+    K: NDArray[np.float64] | None = None
+    D: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 
 
 def nominal() -> Calibration:
@@ -49,7 +50,7 @@ def nominal() -> Calibration:
     return Calibration(T)
 
 
-def read_calibration(path: Path | str, run: str) -> Calibration | None:
+def read_calibration(path: Path | str, run: str) -> Calibration:
     """
     Return the Calibration of a run from calibration_results.py.
 
@@ -69,25 +70,26 @@ def read_calibration(path: Path | str, run: str) -> Calibration | None:
     """
     values = _assignments(path)
     scenes = values.pop('scenename_to_calibration', {})
-    name = scenes.get(run) if isinstance(scenes, dict) else None
+    scenes = scenes if isinstance(scenes, dict) else {}
+    name = scenes.get(run)
     if name is None:
         prefixes = [key for key in values if key.endswith('_calibration')
                     and run.startswith(key[:-len('_calibration')])]
         name = max(prefixes, key=len, default=None)
-    entry = values.get(name)
+    entry = values.get(name) if isinstance(name, str) else None
     if not isinstance(entry, dict):
         raise PersemError(f'{path}: no calibration for the run {run!r}; known: '
                           f'{", ".join(map(str, scenes)) or "none"}')
     return _calibration(entry, f'{path}: {name}')
 
 
-def _assignments(path: Path | str) -> dict[str, dict[str, list[float] | str]] | None:
+def _assignments(path: Path | str) -> dict[str, object]:
     """Return {name: literal} of the file's top level; a name as a value is its text."""
     try:
         tree = ast.parse(read_text(path))
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         raise PersemError(f'{path}: expected Python source with calibrations: {error}') from None
-    values = {}
+    values: dict[str, object] = {}
     for node in tree.body:
         if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
             try:
@@ -97,7 +99,7 @@ def _assignments(path: Path | str) -> dict[str, dict[str, list[float] | str]] | 
     return values
 
 
-def _literal(node: Any) -> dict[str, list[float] | str] | list[float] | str:
+def _literal(node: ast.expr) -> object:
     """Return the value of a literal; names are text, np.array(literal) is its argument."""
     if isinstance(node, ast.Dict):
         return {_literal(key): _literal(value)
@@ -109,7 +111,7 @@ def _literal(node: Any) -> dict[str, list[float] | str] | list[float] | str:
     return ast.literal_eval(node)
 
 
-def _calibration(entry: dict[str, list[float]], where: str) -> Calibration | None:
+def _calibration(entry: dict[object, Any], where: str) -> Calibration:
     """Return the Calibration of one dictionary, or refuse it."""
     numbers = {}
     for name, count in FIELDS.items():

@@ -71,7 +71,7 @@ class UavscenesOptions:
     predictions: str = ''
     depth: str = ''
     depth_unit: str = ''
-    depth_invalid: tuple[Any, ...] = (0, 65535)
+    depth_invalid: tuple[int, ...] = (0, 65535)
     lidar: int = 0
     calibration: str = ''
     camera: str = 'sampleinfos'
@@ -82,8 +82,9 @@ class UavscenesOptions:
     every: int = 1
 
 
-def convert_uavscenes(root: Path, name: str, path: Path, options: UavscenesOptions | None = None,
-                      legend: Legend | None = None, **writing: Any) -> str | None:
+def convert_uavscenes(root: Path | str, name: str, path: Path | str,
+                      options: UavscenesOptions | None = None, legend: Legend | None = None,
+                      **writing: Any) -> str:
     """
     Convert one run.
 
@@ -111,7 +112,7 @@ def convert_uavscenes(root: Path, name: str, path: Path, options: UavscenesOptio
     rig = _calibration(root, run, options)
     depth = FolderDepth(options) if options.depth else LidarDepth(run, rig, options)
     keys = chosen(_complete(run, labels, depth), options.frames, options.every)
-    if options.depth and options.check:
+    if isinstance(depth, FolderDepth) and options.check:
         _check_unit(run, keys, depth, rig, options)
     return write_scene(
         writer, legend, _trajectory(run, keys), keys,
@@ -132,7 +133,7 @@ def _check_options(options: UavscenesOptions) -> None:
         raise PersemError(f'--lidar {options.lidar}: expected 0 to {MAX_SCANS} scans')
 
 
-def _label_files(run: Run, options: UavscenesOptions) -> dict[str, Path] | None:
+def _label_files(run: Run, options: UavscenesOptions) -> dict[str, Path]:
     """Return {stamp as text: path} of the input labels."""
     if options.predictions:
         labels = images(folder_of('--predictions', options.predictions))
@@ -147,7 +148,7 @@ def _label_files(run: Run, options: UavscenesOptions) -> dict[str, Path] | None:
     return run.truth
 
 
-def _calibration(root: Path, run: Run, options: UavscenesOptions) -> Calibration | None:
+def _calibration(root: Path | str, run: Run, options: UavscenesOptions) -> Calibration:
     """Return the Calibration that LiDAR depth or the intrinsics need; nominal without a file."""
     if options.depth and options.camera != 'calibration':
         return calibration.nominal()
@@ -163,9 +164,10 @@ def _calibration(root: Path, run: Run, options: UavscenesOptions) -> Calibration
 
 
 def _complete(
-        run: Run, labels: dict[str, Path], depth: FolderDepth | LidarDepth) -> list[str] | None:
+        run: Run, labels: dict[str, Path], depth: FolderDepth | LidarDepth) -> list[str]:
     """Return the frames with labels, depth and a pose, in order; say what is left out."""
-    dropped = {'without a pose': [], 'with a pose that is not finite': [], 'without depth': []}
+    dropped: dict[str, list[str]] = {
+        'without a pose': [], 'with a pose that is not finite': [], 'without depth': []}
     keys = []
     for key in sorted(labels):
         if key in run.lost:
@@ -193,6 +195,7 @@ def _camera(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], tuple[int, int]]:
     """Return (K, D, (width, height)) of a sample, or of the calibration."""
     if options.camera == 'calibration':
+        assert rig.K is not None, 'only nominal() has none, and is not used for the camera'
         return rig.K, rig.D, calibration.SIZE
     return sample.K, sample.D if np.any(sample.D) else np.zeros(5), sample.size
 

@@ -43,8 +43,8 @@ class FolderDepth:
         """Return the stored units per metre."""
         return units_per_metre(self.files[key], self._unit)
 
-    def image(self, key: str, K_of: Callable[..., Any], D: NDArray[np.float64],
-              size: tuple[int, int]) -> tuple[NDArray[Any], str]:
+    def image(self, key: str, K_of: Callable[[tuple[int, int]], NDArray[np.float64]],
+              D: NDArray[np.float64], size: tuple[int, int]) -> tuple[NDArray[Any], str]:
         """Return (depth, encoding) of a frame, never larger than *size* (width, height)."""
         depth, encoding = self.stored(key)
         own = depth.shape[1], depth.shape[0]
@@ -69,10 +69,11 @@ class LidarDepth:
         self._run, self._rig, self._around = run, rig, options.lidar
         self._order = list(self.files)
         self._index = {key: i for i, key in enumerate(self._order)}
-        self._scans = OrderedDict()     # in the map frame, the last used
+        # In the map frame, the last used.
+        self._scans: OrderedDict[str, NDArray[np.float64]] = OrderedDict()
 
-    def image(self, key: str, K_of: Callable[..., Any], D: NDArray[np.float64],
-              size: tuple[int, int]) -> tuple[NDArray[np.float32], str]:
+    def image(self, key: str, K_of: Callable[[tuple[int, int]], NDArray[np.float64]],
+              D: NDArray[np.float64], size: tuple[int, int]) -> tuple[NDArray[np.float32], str]:
         """Return (depth, encoding) of a frame, of *size* (width, height)."""
         i = self._index[key]
         near = self._order[max(0, i - self._around):i + self._around + 1]

@@ -6,10 +6,9 @@ from dataclasses import dataclass, field
 from glob import escape
 import json
 from pathlib import Path
-import re
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.convert.files import files_of, read_text
 from persem_ros.convert.poses import rigid
 from persem_ros.convert.stamps import stamp_of_name
@@ -24,10 +23,10 @@ class Sample:
     """One entry of the samples' file: an image of the full rate."""
 
     stamp: int
-    T_map_camera: np.ndarray
-    K: np.ndarray
-    D: np.ndarray
-    size: tuple[Any, ...]
+    T_map_camera: NDArray[np.float64]       # (4, 4)
+    K: NDArray[np.float64]                  # (3, 3)
+    D: NDArray[np.float64]                  # (5,)
+    size: tuple[int, int]                   # width, height
 
 
 @dataclass
@@ -54,14 +53,14 @@ class Run:
 
     name: str
     interval: int
-    truth: dict[Any, Any] = field(default_factory=dict)
-    color: dict[Any, Any] = field(default_factory=dict)
+    truth: dict[str, Path] = field(default_factory=dict)
+    color: dict[str, Path] = field(default_factory=dict)
     lidar: Path | None = None
-    samples: dict[Any, Any] = field(default_factory=dict)
-    lost: list[Any] = field(default_factory=list)
+    samples: dict[str, Sample] = field(default_factory=dict)
+    lost: list[str] = field(default_factory=list)
 
 
-def find_run(root: Path, name: str, interval: int | None = None) -> Run | None:
+def find_run(root: Path | str, name: str, interval: int | None = None) -> Run:
     """
     Return the Run called *name* below *root*.
 
@@ -84,9 +83,9 @@ def find_run(root: Path, name: str, interval: int | None = None) -> Run | None:
     root = Path(root)
     if not root.is_dir():
         raise PersemError(f'{root}: no such folder')
-    match = re.fullmatch(r'(?:interval([15])_)?(.+)', name)
-    name = match[2]
-    wanted = interval or (int(match[1]) if match[1] else None)
+    prefix = next((n for n in (1, 5) if name.startswith(f'interval{n}_')), None)
+    name = name.removeprefix(f'interval{prefix}_')
+    wanted = interval or prefix
     for n in (wanted,) if wanted else (5, 1):
         infos = _below(root, n, name, INFOS)
         if infos:
@@ -113,7 +112,7 @@ def is_uavscenes(folder: Path) -> bool:
         next(Path(folder).glob(name), None) for name in (INFOS, 'interval[15]_*'))
 
 
-def folder_of(flag: str, text: str) -> Path | None:
+def folder_of(flag: str, text: str) -> Path:
     """Return the folder that an option names, or refuse it."""
     path = Path(text)
     if not path.is_dir():
@@ -121,8 +120,8 @@ def folder_of(flag: str, text: str) -> Path | None:
     return path
 
 
-def images(folder: Path) -> dict[str, Path]:
-    """Return {stamp as text: path} of the files in a folder that are named after stamps."""
+def images(folder: Path | None) -> dict[str, Path]:
+    """Return {stamp as text: path} of a folder's files named after stamps; none without."""
     found = files_of(folder, '*') if folder else {}
     return {key: path for key, path in found.items() if stamp_of_name(key) is not None}
 

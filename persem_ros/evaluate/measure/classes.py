@@ -14,7 +14,7 @@ class Classes:
 
     Parameters
     ----------
-    table : mapping of int to int, or None
+    table : dict, optional
         Many-to-one taxonomy; None: every id stands for itself.
 
     Attributes

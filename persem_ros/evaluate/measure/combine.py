@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from persem_ros.evaluate.measure import intervals
 from persem_ros.evaluate.measure.counts import PLACES
 from persem_ros.evaluate.measure.measures import MEASURES
+from persem_ros.evaluate.measure.result import Result
 
 BASES = ('majority', 'raw2d', 'context_history')    # what methods are compared with
 BLOCK_ARRAYS = ('hits', 'predicted', 'true', 'changed', 'pairs', 'true_pairs', 'pixels')
 
 
-def combined(results: dict[str, tuple[dict[str, Any], dict[str, NDArray[np.int64]]]],
+def combined(results: dict[str, Result],
              resamples: int = intervals.RESAMPLES) -> dict[str, Any]:
     """
     Return what evaluation.json holds.
@@ -23,7 +23,7 @@ def combined(results: dict[str, tuple[dict[str, Any], dict[str, NDArray[np.int64
     Parameters
     ----------
     results : dict
-        (summary, arrays) of evaluate_sequence by the name of the sequence.
+        Of evaluate_sequence, by the name of the sequence.
     resamples : int
         Of the bootstrap.
 
@@ -61,8 +61,7 @@ def combined(results: dict[str, tuple[dict[str, Any], dict[str, NDArray[np.int64
 
 
 def _macro(
-        rows: list[Any], methods: list[str]
-) -> dict[str, dict[str, dict[str, float | None]] | float | None]:
+        rows: list[dict[str, Any]], methods: list[str]) -> dict[str, Any]:
     """Return the macro average of one region over the sequences that know each value."""
     return {'sequences': sum(row['methods'][methods[0]]['pixel_accuracy'] is not None
                              for row in rows),
@@ -72,7 +71,7 @@ def _macro(
                                for key in MEASURES} for name in methods}}
 
 
-def mean(values: Iterator[Any]) -> float:
+def mean(values: Iterable[float | None]) -> float | None:
     """Return the mean of those that are known, None where none is."""
     known = [v for v in values if v is not None]
     return float(np.mean(known)) if known else None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +26,11 @@ class Counts:
 
     Attributes
     ----------
-    matrix : ndarray, shape (methods, CODES, classes, classes), int64
+    matrix : ndarray, shape (methods, CODES, classes, classes)
         Pixels by method, region code, true and predicted class.
-    changed : ndarray, shape (methods + 1, CODES), int64
+    changed : ndarray, shape (methods + 1, CODES)
         Pixels whose label changed; the last row is the truth's.
-    pairs, true_pairs, pixels : ndarray, shape (CODES,), int64
+    pairs, true_pairs, pixels : ndarray, shape (CODES,)
         Pixels that were compared, whose truth was compared, that were valid.
 
     """
@@ -52,27 +52,34 @@ class Counts:
         self.matrix[:, :, :old.shape[2], :old.shape[3]] = old
 
 
+@dataclass(eq=False)
 class Block:
     """
     Counts by region of PLACES instead of by code.
 
     Attributes
     ----------
-    hits, predicted : ndarray, shape (places, methods, classes), int64
+    hits, predicted : ndarray, shape (places, methods, classes)
         Pixels that were right and that were predicted, by class.
-    true : ndarray, shape (places, classes), int64
+    true : ndarray, shape (places, classes)
         Pixels by true class.
-    changed : ndarray, shape (places, methods + 1), int64
-    pairs, true_pairs, pixels : ndarray, shape (places,), int64
-    matrix : ndarray, shape (methods, classes, classes), int64
+    changed : ndarray, shape (places, methods + 1)
+    pairs, true_pairs, pixels : ndarray, shape (places,)
+    matrix : ndarray, shape (methods, classes, classes)
         Everywhere, by true and predicted class.
 
     """
 
     FIELDS = ('hits', 'predicted', 'true', 'changed', 'pairs', 'true_pairs', 'pixels')
 
-    def __init__(self, **arrays: Any) -> None:
-        self.__dict__.update(arrays)
+    hits: NDArray[np.int64]
+    predicted: NDArray[np.int64]
+    true: NDArray[np.int64]
+    changed: NDArray[np.int64]
+    pairs: NDArray[np.int64]
+    true_pairs: NDArray[np.int64]
+    pixels: NDArray[np.int64]
+    matrix: NDArray[np.int64]
 
     @classmethod
     def of(cls, counts: Counts) -> Block:
@@ -94,7 +101,9 @@ def stacked(blocks: list[Block], classes: int) -> dict[str, NDArray[np.int64]]:
         if name in ('hits', 'predicted', 'true'):
             arrays = [_wide(a, classes, (a.ndim - 1,)) for a in arrays]
         result[name] = np.stack(arrays)
-    result['matrix'] = sum(_wide(b.matrix, classes, (1, 2)) for b in blocks)
+    result['matrix'] = np.zeros((len(blocks[0].matrix), classes, classes), np.int64)
+    for block in blocks:
+        result['matrix'] += _wide(block.matrix, classes, (1, 2))
     return result
 
 

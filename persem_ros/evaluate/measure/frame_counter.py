@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, TYPE_CHECKING
+from collections.abc import Sequence
+from typing import Any, NamedTuple, TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,17 @@ if TYPE_CHECKING:
     from persem_ros.evaluate.measure.classes import Classes
     from persem_ros.evaluate.measure.voxel_kinds import Kinds
     from persem_ros.settings.config import Memory
+
+Number = TypeVar('Number', np.int32, np.float64)
+
+
+class Before(NamedTuple):
+    """What the frame before left, by pixel: class numbers as of count()."""
+
+    shape: tuple[int, ...]          # of the depth image
+    kinds: NDArray[np.int32]        # (pixels,)
+    truth: NDArray[np.int32]        # (pixels,)
+    images: NDArray[np.uint16]      # (methods on images, pixels)
 
 
 class Counter:
@@ -34,7 +46,7 @@ class Counter:
 
     """
 
-    def __init__(self, kinds: Kinds, classes: Classes, methods: tuple[str, ...], images: int,
+    def __init__(self, kinds: Kinds, classes: Classes, methods: Sequence[str], images: int,
                  settings: Memory) -> None:
         self.kinds, self.classes, self.methods = kinds, classes, tuple(methods)
         self.low, self.high = float(settings.min_depth), float(settings.max_depth)
@@ -43,24 +55,24 @@ class Counter:
         self.counts = Counts(len(methods), images)
         self.rows = np.zeros((len(kinds.codes), self.counts.size), np.int64)
         self.has_truth = False
-        self._before: dict[Any, Any] = {}       # sensor -> what the frame before left
+        self._before: dict[str, Before] = {}        # by sensor
         self._shown = np.zeros((2, len(methods) + 1), np.int64)
 
     def frame(self, labels: NDArray[np.int32], depth: NDArray[np.float64],
               voxels: NDArray[np.int32], truth: NDArray[np.int32] | None = None,
-              images: list[NDArray[Any]] = (), sensor: str = '') -> NDArray[np.int64]:
+              images: Sequence[NDArray[Any]] = (), sensor: str = '') -> NDArray[np.int64]:
         """
         Count one integrated frame.
 
         Parameters
         ----------
-        labels : ndarray, shape (h, w), int32
+        labels : ndarray, shape (h, w)
             The input labels on the depth's grid.
-        depth : ndarray, shape (h, w), float64
+        depth : ndarray, shape (h, w)
             Metres.
-        voxels : ndarray, shape (h, w), int32
+        voxels : ndarray, shape (h, w)
             Voxel numbers; -1: none.
-        truth : ndarray, shape (h, w), int32, optional
+        truth : ndarray, shape (h, w), optional
             True labels.
         images : sequence of ndarray, shape (h, w), integers
             Labels of the methods on images.
@@ -69,30 +81,27 @@ class Counter:
 
         Returns
         -------
-        changed, pairs : ndarray, shape (methods + 1,), int64
+        changed, pairs : ndarray, shape (methods + 1,)
             Pixels of this frame whose label changed and that were compared, the truth last.
 
         """
         shape = depth.shape
-        images = [np.require(i, np.int32, 'CW').reshape(-1) for i in images]
+        images = [_flat(image, np.int32) for image in images]
         for image in (labels, *images, *([] if truth is None else [truth])):
             self.classes.meet(image)
         self._make_room()
-        with_truth = truth is not None
-        self.has_truth |= with_truth
+        self.has_truth |= truth is not None
         before = self._before.get(sensor)
-        if before is None or before[0] != shape:
-            before = shape, np.full(depth.size, -1, np.int32), np.full(depth.size, -1, np.int32), \
-                np.zeros((len(images), depth.size), np.uint16)
-        _, kind_before, truth_before, images_before = before
-        count(np.require(labels, np.int32, 'CW').reshape(-1),
-              np.require(depth, np.float64, 'CW').reshape(-1),
-              np.require(voxels, np.int32, 'CW').reshape(-1),
-              np.require(truth if with_truth else labels, np.int32, 'CW').reshape(-1), with_truth,
+        if before is None or before.shape != shape:
+            before = Before(shape, np.full(depth.size, -1, np.int32),
+                            np.full(depth.size, -1, np.int32),
+                            np.zeros((len(images), depth.size), np.uint16))
+        count(_flat(labels, np.int32), _flat(depth, np.float64), _flat(voxels, np.int32),
+              _flat(labels if truth is None else truth, np.int32), truth is not None,
               np.array(images, np.int32).reshape(len(images), depth.size),
               self.kinds.of, self.kinds.classes, self.kinds.codes, self.kinds.moving,
               self.classes.index, self.ignored, self.classes.table is not None,
-              self.low, self.high, kind_before, truth_before, images_before, self.rows,
+              self.low, self.high, before.kinds, before.truth, before.images, self.rows,
               self.counts.matrix, self.counts.changed, self.counts.pairs,
               self.counts.true_pairs, self.counts.pixels, self.classes.outside)
         self._before[sensor] = before
@@ -127,6 +136,11 @@ class Counter:
             rows = np.zeros((len(self.rows), size), np.int64)
             rows[:, :self.rows.shape[1]] = self.rows
             self.rows = rows
+
+
+def _flat(image: NDArray[Any], kind: type[Number]) -> NDArray[Number]:
+    """Return the pixels of an image one after the other, of the type that count() wants."""
+    return np.require(image, kind, ('C', 'W')).reshape(-1)
 
 
 @kernel

@@ -64,7 +64,7 @@ def differences(
         sequences: list[dict[str, NDArray[Any]]], methods: Sequence[str], base: str,
         resamples: int = RESAMPLES, drawn: list[NDArray[np.float64]] | None = None,
         whole: bool = False
-) -> dict[Any, Any]:
+) -> dict[str, dict[str, dict[str, dict[str, float | None]]]]:
     """
     Return the macro-averaged gain of each method over *base* with its interval.
 

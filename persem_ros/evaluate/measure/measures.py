@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -46,14 +47,14 @@ def measure(hits: NDArray[Any], predicted: NDArray[Any], true: NDArray[Any], cha
 
 
 def summary(
-        blocks: dict[str, NDArray[np.int64]], methods: tuple[str, ...], ids: list[int]
+        blocks: dict[str, NDArray[np.int64]], methods: Sequence[str], ids: Sequence[int]
 ) -> dict[str, Any]:
     """
     Return what metrics.json has for a sequence, from its blocks.
 
     Parameters
     ----------
-    blocks : dict of str to ndarray
+    blocks : dict
         counts.Block's arrays with the blocks as first axis.
     methods : sequence of str
         In the order of the arrays.
@@ -62,7 +63,7 @@ def summary(
 
     """
     total = {name: array.sum(0) for name, array in blocks.items()}
-    regions = {}
+    regions: dict[str, dict[str, Any]] = {}
     for k, place in enumerate(PLACES):
         here = {name: total[name][k] for name in (
             'hits', 'predicted', 'true', 'changed', 'pairs', 'true_pairs', 'pixels')}
@@ -72,26 +73,27 @@ def summary(
             'truth_flicker': percent(here['changed'][-1], here['true_pairs']),
             'methods': {name: dict(zip(MEASURES, map(number, values[m])))
                         for m, name in enumerate(methods)}}
-    result = {'truth_flicker': regions[PLACES[0]]['truth_flicker'], 'methods': {
-        name: dict(row) for name, row in regions[PLACES[0]]['methods'].items()}}
-    for m, name in enumerate(methods):
-        result['methods'][name]['iou'] = _iou(total, m, ids)
-    return {**result, 'regions': regions}
+    whole = regions[PLACES[0]]
+    return {'truth_flicker': whole['truth_flicker'],
+            'methods': {name: {**whole['methods'][name], 'iou': _iou(total, m, ids)}
+                        for m, name in enumerate(methods)},
+            'regions': regions}
 
 
-def number(value: float) -> float:
+def number(value: float) -> float | None:
     """Return a float, None for what cannot be known."""
     return float(value) if np.isfinite(value) else None
 
 
-def percent(part: int, whole: int) -> float:
+def percent(part: int, whole: int) -> float | None:
     """Return 100 part / whole, None for a part of nothing."""
     return 100.0 * float(part) / float(whole) if whole else None
 
 
-def _iou(total: dict[str, NDArray[np.int64]], m: int, ids: list[int]) -> dict[str, float]:
+def _iou(total: dict[str, NDArray[np.int64]], m: int,
+         ids: Sequence[int]) -> dict[str, float | None]:
     """Return {id: IoU in percent} of the classes that occur in the truth, by id."""
     hits, predicted, true = total['hits'][0, m], total['predicted'][0, m], total['true'][0]
-    found = {int(ids[c]): percent(hits[c], true[c] + predicted[c] - hits[c])
-             for c in np.flatnonzero(true)}
+    found = {ids[c]: percent(hits[c], true[c] + predicted[c] - hits[c])
+             for c in np.flatnonzero(true).tolist()}
     return {str(i): found[i] for i in sorted(found)}

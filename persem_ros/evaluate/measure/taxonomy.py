@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 from persem_ros.settings.legend import Legend, load_legend
 
@@ -16,7 +15,7 @@ class Taxonomy:
     Attributes
     ----------
     name : str
-    table : dict of int to int, or None
+    table : dict, optional
         None: every id stands for itself.
     legend : Legend
         Names and colours of the classes.
@@ -24,12 +23,12 @@ class Taxonomy:
     """
 
     name: str
-    table: dict[Any, Any]
+    table: dict[int, int] | None
     legend: Legend
 
 
 def taxonomy(labels: str = '', grouped: bool = False, dynamic: bool = True,
-             legend: Legend | None = None) -> Taxonomy | None:
+             legend: Legend | None = None) -> Taxonomy:
     """
     Return the Taxonomy that the options of persem evaluate ask for.
 

@@ -25,22 +25,22 @@ class Kinds:
 
     Attributes
     ----------
-    of : ndarray, shape (voxels,), int32
+    of : ndarray, shape (voxels,)
         Kind by voxel number.
-    classes : ndarray, shape (kinds, methods), uint16
+    classes : ndarray, shape (kinds, methods)
         Class by kind and method.
-    codes : ndarray, shape (kinds,), uint8
+    codes : ndarray, shape (kinds,)
         Bits of the regions.
-    moving : ndarray, shape (65536,), int32
+    moving : ndarray, shape (65536,)
         Kind, but for its voxel's code to be added, of a pixel whose own label is a dynamic id;
         -1 for all other ids.
 
     """
 
-    of: np.ndarray
-    classes: np.ndarray
-    codes: np.ndarray
-    moving: np.ndarray
+    of: NDArray[np.int32]
+    classes: NDArray[np.uint16]
+    codes: NDArray[np.uint8]
+    moving: NDArray[np.int32]
 
 
 def kinds_of(labels: NDArray[np.uint16], codes: NDArray[np.uint8], index: NDArray[np.uint16],
@@ -66,11 +66,11 @@ def kinds_of(labels: NDArray[np.uint16], codes: NDArray[np.uint8], index: NDArra
     first = group(labels, codes, index, of)
     rows = index[labels[first]]
     unknown = np.zeros((1, methods), np.uint16)
-    dynamic = sorted({c for c in dynamic if c >= 0})
+    passing = sorted({c for c in dynamic if c >= 0})
     moving = np.full(len(index), -1, np.int32)
-    moving[dynamic] = 1 + len(first) + CODES * np.arange(len(dynamic))
-    passed = np.repeat(index[dynamic], CODES)[:, None].repeat(methods, axis=1)
-    codes = np.concatenate([[0], codes[first], np.tile(np.arange(CODES), len(dynamic))])
+    moving[passing] = 1 + len(first) + CODES * np.arange(len(passing))
+    passed = np.repeat(index[passing], CODES)[:, None].repeat(methods, axis=1)
+    codes = np.concatenate([[0], codes[first], np.tile(np.arange(CODES), len(passing))])
     return Kinds(of, np.concatenate([unknown, rows, passed]), codes.astype(np.uint8), moving)
 
 

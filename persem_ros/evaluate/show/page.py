@@ -7,8 +7,6 @@ import functools
 from typing import Any, TYPE_CHECKING
 
 import jinja2
-import numpy as np
-from numpy.typing import NDArray
 from persem_ros.errors import PersemError
 from persem_ros.evaluate.show import table
 from persem_ros.evaluate.show.paper_tables import tables
@@ -21,11 +19,13 @@ from persem_ros.settings.legend import Legend
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from persem_ros.evaluate.measure.result import Result
+
 RASTER = ('panels', 'map')      # figures that are pictures: as PNG in the page
 
 
 def write(folder: Path, evaluation: dict[str, Any],
-          results: dict[str, tuple[dict[str, Any], dict[str, NDArray[np.int64]]]]) -> None:
+          results: dict[str, Result]) -> None:
     """
     Draw all figures of an evaluation below *folder* and write its report.html.
 
@@ -36,7 +36,7 @@ def write(folder: Path, evaluation: dict[str, Any],
     evaluation : dict
         combine.combined, with versions, hardware and settings.
     results : dict
-        (summary, arrays) by sequence.
+        By sequence.
 
     Raises
     ------
@@ -46,7 +46,7 @@ def write(folder: Path, evaluation: dict[str, Any],
     """
     check()
     from persem_ros.evaluate.show import sequence_figures, style, summary_figures
-    shown = {'': []}
+    shown: dict[str, list[dict[str, str]]] = {'': []}
     with style.look():
         for name, caption, drawn in summary_figures.figures(evaluation):
             shown[''].append(figure(name, caption, style.save(
@@ -87,9 +87,10 @@ def common() -> dict[str, Any]:
 
 
 @functools.lru_cache(maxsize=1)
-def environment() -> Any:
+def environment() -> jinja2.Environment:
     """Return our templates before the replay's; everything that they show is escaped."""
     ours = page.environment()
+    assert ours.loader is not None, 'the templates of the replay are in the package'
     return ours.overlay(loader=jinja2.ChoiceLoader([
         jinja2.PackageLoader('persem_ros.evaluate.show', 'templates'), ours.loader]))
 

@@ -8,7 +8,7 @@ from persem_ros.evaluate.measure.combine import mean
 from persem_ros.evaluate.measure.counts import PLACES
 from persem_ros.evaluate.measure.intervals import FEWEST
 from persem_ros.evaluate.measure.measures import BETTER, MEASURES
-from persem_ros.evaluate.show.table import Cell, Column, marked, Table
+from persem_ros.evaluate.show.table import Cell, Column, marked, Row, Table
 
 NAMES = {'pixel_accuracy': 'PA', 'miou': 'mIoU', 'flicker': 'Flicker'}
 ABLATION = ('majority', 'trust', 'context', 'history', 'persem')
@@ -46,7 +46,7 @@ def tables(evaluation: dict[str, Any]) -> list[Table]:
     return [*found, runtime(evaluation)]
 
 
-def measures(group: str = '', signed: bool = False) -> tuple[Column, Column, Column]:
+def measures(group: str = '', signed: bool = False) -> tuple[Column, ...]:
     """Return the three columns of measures."""
     return tuple(Column(('Δ' if signed else '') + NAMES[key], BETTER[key], group, signed=signed)
                  for key in MEASURES)
@@ -61,7 +61,8 @@ def main(evaluation: dict[str, Any]) -> Table:
 
 def by_sequence(evaluation: dict[str, Any]) -> Table:
     """Return Table 1 sequence by sequence."""
-    columns, parts = (), []
+    columns: tuple[Column, ...] = ()
+    parts = []
     for name, summary in evaluation['sequences'].items():
         columns += measures(name)
         parts.append(_method_rows(summary['regions']['all'], evaluation['methods']))
@@ -121,17 +122,18 @@ def ablation(evaluation: dict[str, Any]) -> Table:
 
 def trust(evaluation: dict[str, Any]) -> Table:
     """Return Table 3: what trust replay adds to context and history, scene by scene."""
-    rows, rules = [], []
+    rows: list[Row] = []
+    rules = []
     for name, summary in evaluation['sequences'].items():
         here = summary['regions']['all']
         gain = evaluation['by_sequence'][name]['context_history']['all']['persem']
         rules.append(len(rows))
-        pair = [Table('', '', (), measures(), [
+        pair = Table('', '', (), measures(), [
             ((name if k == 0 else '', text), tuple(Cell(here['methods'][m][key])
                                                    for key in MEASURES))
             for k, (m, text) in enumerate((('context_history', 'context + history'),
-                                           ('persem', 'full (+ trust)')))])]
-        rows += marked(pair[0]).rows
+                                           ('persem', 'full (+ trust)')))])
+        rows += marked(pair).rows
         rows.append((('', 'difference'), tuple(_interval(gain[key]) for key in MEASURES)))
         rows.append((('', TRUTH), _truth_cells(here)))
     return Table('trust', 'What trust replay adds to context and history', ('scene', 'variant'),
@@ -196,16 +198,14 @@ def notes(evaluation: dict[str, Any], intervals: bool = False) -> tuple[str, ...
     return tuple(lines)
 
 
-def _method_rows(region: dict[str, dict[str, dict[str, float | None]] | float | None],
-                 methods: list[str]) -> list[tuple[tuple[str], tuple[Cell, Cell, Cell]]]:
+def _method_rows(region: dict[str, Any], methods: list[str]) -> list[Row]:
     """Return a row per method and the truth's, of a region of a summary or of the macro."""
-    rows = [((name,), tuple(Cell(region['methods'][name][key]) for key in MEASURES))
-            for name in methods]
+    rows: list[Row] = [((name,), tuple(Cell(region['methods'][name][key]) for key in MEASURES))
+                       for name in methods]
     return [*rows, ((TRUTH,), _truth_cells(region))]
 
 
-def _truth_cells(
-        region: dict[str, dict[str, dict[str, float]] | float]) -> tuple[Cell, Cell, Cell]:
+def _truth_cells(region: dict[str, Any]) -> tuple[Cell, ...]:
     return tuple(Cell(region['truth_flicker'] if key == 'flicker' else None) for key in MEASURES)
 
 
@@ -215,11 +215,11 @@ def _of(evaluation: dict[str, Any]) -> str:
     return names[0] if len(names) == 1 else f'mean of {len(names)} sequences'
 
 
-def _interval(row: dict[str, float]) -> Cell:
+def _interval(row: dict[str, float | None]) -> Cell:
     return Cell(row['value'], row['low'], row['high'])
 
 
-def _rules(rows: list[tuple[tuple[str], tuple[Cell, ...]]]) -> tuple[int, ...]:
+def _rules(rows: list[Row]) -> tuple[int, ...]:
     """Return where the kinds of methods are set apart, as in the paper."""
     names = [head[0] for head, _ in rows]
     return tuple(names.index(name) for name in ('majority', 'trust', 'persem', TRUTH)

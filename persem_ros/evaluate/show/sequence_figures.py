@@ -15,6 +15,7 @@ from persem_ros.outputs.map.cloud import SOURCES
 from persem_ros.outputs.report.colors import SOURCE_COLORS
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from persem_ros.settings.legend import Legend
 
 LINES = ('raw2d', 'ema2d', 'majority', 'persem')
@@ -24,8 +25,8 @@ PALE = (222, 226, 230)  # what the majority decided
 CELLS = 144             # confusion matrices with more are drawn without numbers
 
 
-def figures(name: str, summary: dict[str, Any], arrays: dict[str, NDArray[np.int64]],
-            legend: Legend) -> Iterator[tuple[str, str, Any]]:
+def figures(name: str, summary: dict[str, Any], arrays: dict[str, NDArray[Any]],
+            legend: Legend) -> Iterator[tuple[str, str, Figure]]:
     """Yield (name, caption, figure) of one sequence; legend: names and colours of ids."""
     if any(key.startswith('panel/') for key in arrays):
         yield (f'panels-{name}', 'Frames in which the methods differ most. Black: no label.',
@@ -41,7 +42,7 @@ def figures(name: str, summary: dict[str, Any], arrays: dict[str, NDArray[np.int
                'refinement changed is drawn larger than it is.', top(arrays, legend))
 
 
-def panels(arrays: dict[str, NDArray[np.int64]], legend: Legend) -> Any:
+def panels(arrays: dict[str, NDArray[Any]], legend: Legend) -> Figure:
     """Draw the chosen frames: one a row, what they show in columns."""
     frames = sorted({int(k.split('/')[1]) for k in arrays if k.startswith('panel/')})
     columns = [what for what in ('color', 'truth', *STYLES)
@@ -49,7 +50,7 @@ def panels(arrays: dict[str, NDArray[np.int64]], legend: Legend) -> Any:
     shape = arrays[f'panel/{frames[0]}/{columns[-1]}'].shape
     figure = new_figure(2.1 * len(columns), (2.1 * shape[0] / shape[1] + 0.08) * len(frames) + 0.6)
     all_axes = figure.subplots(len(frames), len(columns), squeeze=False)
-    seen = set()
+    seen: set[int] = set()
     for row, frame in zip(all_axes, frames):
         for axes, what in zip(row, columns):
             axes.set_xticks([])
@@ -69,7 +70,7 @@ def panels(arrays: dict[str, NDArray[np.int64]], legend: Legend) -> Any:
     return figure
 
 
-def flicker(summary: dict[str, Any], arrays: dict[str, NDArray[np.int64]]) -> Any:
+def flicker(summary: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Figure:
     """Draw flicker over time, with the truth's."""
     names = [*summary['methods_order'], 'truth']
     seconds = (arrays['frame/stamp'] - arrays['frame/stamp'][0]) / 1e9
@@ -93,7 +94,7 @@ def flicker(summary: dict[str, Any], arrays: dict[str, NDArray[np.int64]]) -> An
     return figure
 
 
-def confusion(summary: dict[str, Any], arrays: dict[str, NDArray[np.int64]]) -> Any:
+def confusion(summary: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Figure:
     """Draw confusion matrices, each row in percent of its true class."""
     shown = [m for m in MATRICES if m in summary['methods_order']] or summary['methods_order'][:3]
     names = ['no label'] + [c['name'] for c in summary['classes']]
@@ -118,7 +119,7 @@ def confusion(summary: dict[str, Any], arrays: dict[str, NDArray[np.int64]]) -> 
     return figure
 
 
-def top(arrays: dict[str, NDArray[np.int64]], legend: Legend) -> Any:
+def top(arrays: dict[str, NDArray[Any]], legend: Legend) -> Figure:
     """Draw the map from above by label, source, entropy and switch rate."""
     label, extent = arrays['top/label'], arrays['top/extent']
     known = label != UNKNOWN
@@ -142,7 +143,7 @@ def top(arrays: dict[str, NDArray[np.int64]], legend: Legend) -> Any:
         a.grid(False)
         a.set_aspect('equal')
         a.set_ylabel('y, m' if a in axes[::2] else '')
-    axes[1].legend(handles=[Patch(color=c / 255, label=name) for name, c in zip(
+    axes[1].legend(handles=[Patch(color=tuple(c / 255), label=name) for name, c in zip(
         SOURCES, colors)], fontsize=7, loc='best', frameon=True)
     _key(figure, np.unique(label[known]).tolist(), legend)
     return figure
@@ -153,10 +154,11 @@ def painted(image: NDArray[np.uint16], legend: Legend) -> NDArray[np.uint8]:
     return legend.colors(np.asarray(image, np.uint16))
 
 
-def _key(figure: Any, ids: list[int] | set[int], legend: Legend) -> None:
+def _key(figure: Figure, ids: list[int] | set[int], legend: Legend) -> None:
     """Draw the legend of class colours below a figure."""
     found = {legend.name(i): legend.color(i) for i in sorted(ids) if i != UNKNOWN}
-    handles = [Patch(color=np.array(color) / 255, label=name) for name, color in found.items()]
+    handles = [Patch(color=(r / 255, g / 255, b / 255), label=name)
+               for name, (r, g, b) in found.items()]
     if handles:
         figure.legend(handles=handles, loc='outside lower center', fontsize=8,
                       ncols=min(len(handles), 8))

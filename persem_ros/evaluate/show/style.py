@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from typing import Any, TYPE_CHECKING
+from typing import Any, Literal, TYPE_CHECKING
 
 import matplotlib
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -11,7 +11,11 @@ from matplotlib.figure import Figure
 from persem_ros.outputs.files import write_bytes
 
 if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
     from pathlib import Path
+
+    from matplotlib.axes import Axes
+    from matplotlib.typing import RcKeyType
 
 # Okabe and Ito's colours; methods of one family share a colour and differ in their marker.
 INK, SOFT = '#1b1f24', '#8a9099'
@@ -22,7 +26,7 @@ STYLES = {
     'trust': ('#cc79a7', 'v'), 'context': ('#cc79a7', 's'), 'history': ('#cc79a7', 'D'),
     'context_history': ('#cc79a7', 'o'), 'persem': ('#009e73', '*'),
     'geometry': ('#000000', '*')}
-LOOK = {
+LOOK: dict[RcKeyType, object] = {
     'font.family': ['DejaVu Sans'], 'font.size': 9, 'axes.spines.top': False,
     'axes.spines.right': False, 'axes.titlesize': 10, 'axes.titleweight': 'bold',
     'axes.titlelocation': 'left', 'axes.edgecolor': SOFT, 'axes.labelcolor': INK,
@@ -33,24 +37,25 @@ LOOK = {
 WORDS = {'pixel_accuracy': 'pixel accuracy, %', 'miou': 'mean IoU, %', 'flicker': 'flicker, %'}
 
 
-def look() -> Any:
+def look() -> AbstractContextManager[None]:
     """Return the context in which all figures are drawn."""
     return matplotlib.rc_context(LOOK)
 
 
-def new_figure(width: float, height: float) -> Any:
+def new_figure(width: float, height: float) -> Figure:
     """Return a Figure of *width* x *height* inches."""
     figure = Figure((width, height), layout='constrained')
     FigureCanvasAgg(figure)
     return figure
 
 
-def save(figure: Any, path: Path) -> dict[str, bytes]:
+def save(figure: Figure, path: Path) -> dict[str, bytes]:
     """Write <path>.svg and <path>.png; return the bytes of both."""
     figure.draw_without_rendering()
     figure.set_layout_engine('none')      # laid out once for both, not anew for each
     images = {}
-    for kind, options in (('svg', {'metadata': {'Date': None}}), ('png', {'dpi': 150})):
+    kinds: dict[str, dict[str, Any]] = {'svg': {'metadata': {'Date': None}}, 'png': {'dpi': 150}}
+    for kind, options in kinds.items():
         out = io.BytesIO()
         figure.savefig(out, format=kind, facecolor='white', **options)
         images[kind] = out.getvalue()
@@ -58,6 +63,6 @@ def save(figure: Any, path: Path) -> dict[str, bytes]:
     return images
 
 
-def lighter(axes: Any, which: str = 'both') -> None:
+def lighter(axes: Axes, which: Literal['both', 'x', 'y'] = 'both') -> None:
     """Turn the grid lines of an axis off."""
     axes.grid(False, axis=which)

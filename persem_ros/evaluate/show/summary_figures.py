@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from persem_ros.evaluate.measure.combine import mean
@@ -12,10 +12,14 @@ from persem_ros.evaluate.measure.measures import BETTER, MEASURES
 from persem_ros.evaluate.show.paper_tables import PLACE_NAMES
 from persem_ros.evaluate.show.style import INK, lighter, new_figure, SOFT, STYLES, WORDS
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 CLASSES_SHOWN = ('raw2d', 'ema2d', 'majority', 'persem')
 
 
-def figures(evaluation: dict[str, Any]) -> Iterator[tuple[str, str, Any]]:
+def figures(evaluation: dict[str, Any]) -> Iterator[tuple[str, str, Figure]]:
     """Yield (name, caption, figure) of what the evaluation allows."""
     if evaluation['macro']['all']['sequences']:
         yield ('tradeoff', 'Stability against correctness: the better, the further to the upper '
@@ -33,7 +37,7 @@ def figures(evaluation: dict[str, Any]) -> Iterator[tuple[str, str, Any]]:
                'class occurs.', classes(evaluation))
 
 
-def tradeoff(evaluation: dict[str, Any]) -> Any:
+def tradeoff(evaluation: dict[str, Any]) -> Figure:
     """Draw flicker against mean IoU; methods on voxels once more, enlarged."""
     rows = {name: row for name, row in evaluation['macro']['all']['methods'].items()
             if row['miou'] is not None and row['flicker'] is not None}
@@ -58,7 +62,7 @@ def tradeoff(evaluation: dict[str, Any]) -> Any:
     return figure
 
 
-def differences(evaluation: dict[str, Any], base: str) -> Any:
+def differences(evaluation: dict[str, Any], base: str) -> Figure:
     """Draw the gains of all methods over *base* as points with their intervals."""
     found = evaluation['differences'][base]['all']
     names = [name for name in found if name not in ('raw2d', 'ema2d')] or list(found)
@@ -77,7 +81,7 @@ def differences(evaluation: dict[str, Any], base: str) -> Any:
     return figure
 
 
-def regions(evaluation: dict[str, Any]) -> Any:
+def regions(evaluation: dict[str, Any]) -> Figure:
     """Draw the gains of persem over majority by region."""
     found = evaluation['differences']['majority']
     keys = [key for key in MEASURES if found['all']['persem'][key]['value'] is not None]
@@ -96,18 +100,20 @@ def regions(evaluation: dict[str, Any]) -> Any:
     return figure
 
 
-def _point(axes: Any, row: dict[str, float | None], y: int, color: str) -> None:
+def _point(axes: Axes, row: dict[str, float | None], y: int, color: str) -> None:
     """Draw a difference with its interval; hollow where the interval holds zero."""
-    if row['value'] is None:
+    value, low, high = row['value'], row['low'], row['high']
+    if value is None:
         return
-    sure = row['low'] is not None and (row['low'] > 0 or row['high'] < 0)
-    if row['low'] is not None:
-        axes.plot([row['low'], row['high']], [y, y], color=color, linewidth=2)
-    axes.plot(row['value'], y, 'o', color=color, markersize=6,
+    sure = False
+    if low is not None and high is not None:
+        sure = low > 0 or high < 0
+        axes.plot([low, high], [y, y], color=color, linewidth=2)
+    axes.plot(value, y, 'o', color=color, markersize=6,
               markerfacecolor=color if sure else 'white', zorder=3)
 
 
-def classes(evaluation: dict[str, Any]) -> Any:
+def classes(evaluation: dict[str, Any]) -> Figure:
     """Draw bars of IoU by class."""
     shown = [m for m in CLASSES_SHOWN if m in evaluation['methods']] or evaluation['methods'][:4]
     summaries = evaluation['sequences'].values()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +13,7 @@ from persem_ros.outputs.files import write_text
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from matplotlib.figure import Figure
     from persem_ros.evaluate.show.table import Table
 
 FROM_LOG = 30       # positive values that span more than this factor get a logarithmic axis
@@ -33,7 +34,7 @@ def write(folder: Path, result: dict[str, Any], item: Table) -> None:
         result=result, item=item, figures=shown, **page.common()))
 
 
-def figures(result: dict[str, Any]) -> Iterator[tuple[str, str, Any]]:
+def figures(result: dict[str, Any]) -> Iterator[tuple[str, str, Figure]]:
     """Yield (name, caption, figure): curves for one axis, heat maps for two, else none."""
     axes = list(result['axes'])
     if result['each']:
@@ -48,7 +49,7 @@ def figures(result: dict[str, Any]) -> Iterator[tuple[str, str, Any]]:
                        'sequences.', heat(result, axes, method))
 
 
-def curves(result: dict[str, Any], name: str) -> Any:
+def curves(result: dict[str, Any], name: str) -> Figure:
     """Draw all methods over one setting."""
     from persem_ros.evaluate.show.style import new_figure, SOFT, STYLES, WORDS
     values = result['axes'][name]
@@ -83,7 +84,7 @@ def curves(result: dict[str, Any], name: str) -> Any:
     return figure
 
 
-def heat(result: dict[str, Any], names: list[str], method: str) -> Any:
+def heat(result: dict[str, Any], names: list[str], method: str) -> Figure:
     """Draw one method over two settings."""
     from persem_ros.evaluate.show.style import new_figure, WORDS
     rows, columns = (result['axes'][name] for name in names)
@@ -106,15 +107,18 @@ def heat(result: dict[str, Any], names: list[str], method: str) -> Any:
     return figure
 
 
-def _series(result: dict[str, Any], value: Callable[..., Any]) -> list[float]:
+def _series(
+        result: dict[str, Any], value: Callable[[dict[str, Any]], float | None]) -> list[float]:
     """Return one number per point, NaN for what is not known."""
     found = (value(point) for point in result['points'])
     return [np.nan if v is None else v for v in found]
 
 
-def _positions(values: list[float | str]) -> tuple[list[float], list[str] | None, bool]:
+def _positions(
+        values: list[float | str | list[int]]) -> tuple[Sequence[float], list[str] | None, bool]:
     """Return places on the x axis, texts for them (None: numbers), whether it is logarithmic."""
-    if not all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in values):
-        return list(range(len(values))), [str(v) for v in values], False
-    log = min(values) > 0 and max(values) / min(values) > FROM_LOG
-    return values, None, log
+    numbers = [v for v in values if isinstance(v, (int, float)) and not isinstance(v, bool)]
+    if len(numbers) < len(values):
+        return range(len(values)), [str(v) for v in values], False
+    log = min(numbers) > 0 and max(numbers) / min(numbers) > FROM_LOG
+    return numbers, None, log

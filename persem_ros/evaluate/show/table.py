@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 import csv
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 import io
 from typing import Any
 
@@ -26,10 +27,13 @@ class Column:
 class Cell:
     """A number with an interval; best: to be set in bold."""
 
-    value: object = None        # a number, text, or None: unknown
+    value: float | str | None = None        # None: unknown
     low: float | None = None
     high: float | None = None
     best: bool = False
+
+
+Row = tuple[tuple[str, ...], tuple[Cell, ...]]      # text in front, then the cells
 
 
 @dataclass(frozen=True)
@@ -42,32 +46,32 @@ class Table:
     key : str
         Name of its files.
     title : str
-    head : tuple of str
+    head : tuple
         Names of the columns in front, which hold text.
     columns : tuple of Column
-    rows : list of (tuple of str, tuple of Cell)
-        Text in front, then the cells.
-    notes : tuple of str
-    rules : tuple of int
+    rows : sequence of Row
+    notes : tuple
+    rules : tuple
         Rows before which a line is drawn.
 
     """
 
     key: str
     title: str
-    head: tuple[Any, ...]
-    columns: tuple[Any, ...]
-    rows: list[Any]
-    notes: tuple[Any, ...] = ()
-    rules: tuple[Any, ...] = field(default=())
+    head: tuple[str, ...]
+    columns: tuple[Column, ...]
+    rows: Sequence[Row]
+    notes: tuple[str, ...] = ()
+    rules: tuple[int, ...] = ()
 
 
 def marked(table: Table, floor: str = '(truth)') -> Table:
     """Return the table with the best cell of each column marked; the truth takes no part."""
     rows = [list(cells) for _, cells in table.rows]
     for k, column in enumerate(table.columns):
-        known = [(row[k].value * column.better, i) for i, row in enumerate(rows)
-                 if column.better and isinstance(row[k].value, (int, float))
+        known = [(value * column.better, i) for i, row in enumerate(rows)
+                 for value in [row[k].value]
+                 if column.better and isinstance(value, (int, float))
                  and floor not in table.rows[i][0]]
         rounded = [round(value, column.digits) for value, _ in known]
         if len(set(rounded)) < 2:
@@ -191,7 +195,7 @@ def comma_separated(table: Table) -> str:
     writer.writerow([*table.head, *(title for name, wide in zip(names, with_interval)
                                     for title in [name] + [f'{name} low', f'{name} high'] * wide)])
     for head, cells in table.rows:
-        values = []
+        values: list[float | str | None] = []
         for cell, wide in zip(cells, with_interval):
             values += [cell.value] + [cell.low, cell.high] * wide
         writer.writerow([*head, *('' if v is None else v for v in values)])

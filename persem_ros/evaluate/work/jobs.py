@@ -5,18 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
 from persem_ros import workers as side_by_side
 from persem_ros.evaluate.work import sequence
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
     from persem_ros.evaluate.work.task import Task
 
 
 def results(
         tasks: list[Task], workers: int = 0, scheduler: str = '', frames: list[int] | None = None
-) -> Iterator[tuple[int, dict[str, Any], dict[str, NDArray[np.int64]]]]:
+) -> Iterator[tuple[int, dict[str, Any], dict[str, NDArray[Any]]]]:
     """
     Yield (place in *tasks*, summary, arrays) as tasks are finished.
 

@@ -13,6 +13,7 @@ import zipfile
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.errors import PersemError
+from persem_ros.evaluate.measure.result import Result
 from persem_ros.inputs.recording.excerpt import WHOLE
 from persem_ros.inputs.recording.finding import split
 from persem_ros.outputs.files import replacing, write_json
@@ -37,7 +38,7 @@ def identity(task: Task) -> dict[str, Any]:
     values = {name: list(value) if isinstance(value, tuple) else value
               for name, value, _ in settings(task.config)}
     if values['labels.legend']:
-        values['labels.legend'] = load_legend(values['labels.legend']).to_yaml()
+        values['labels.legend'] = load_legend(str(values['labels.legend'])).to_yaml()
     return {'recording': '+'.join(content_hash(part) for part in split(task.recording)),
             **({} if task.excerpt == WHOLE else {'excerpt': asdict(task.excerpt)}),
             'predictions': content_hash(task.predictions) if task.predictions else '',
@@ -58,13 +59,13 @@ def key_of(found: dict[str, Any]) -> str:
 @functools.lru_cache(maxsize=256)
 def content_hash(path: str) -> str:
     """Return a hash of a file or of all files in a folder, names included."""
-    path = Path(path)
-    if not path.exists():
-        raise PersemError(f'{path} does not exist')
-    files = sorted(p for p in path.rglob('*') if p.is_file()) if path.is_dir() else [path]
+    root = Path(path)
+    if not root.exists():
+        raise PersemError(f'{root} does not exist')
+    files = sorted(p for p in root.rglob('*') if p.is_file()) if root.is_dir() else [root]
     digest = hashlib.blake2b(digest_size=16)
     for file in files:
-        name = str(file.relative_to(path)) if path.is_dir() else file.suffix
+        name = str(file.relative_to(root)) if root.is_dir() else file.suffix
         digest.update(f'{name}\0{file.stat().st_size}\0'.encode())
         with open(file, 'rb') as stream:
             while piece := stream.read(PIECE):
@@ -84,22 +85,21 @@ def source_hash() -> str:
 
 
 def save(folder: Path, found: dict[str, Any], summary: dict[str, Any],
-         arrays: dict[str, NDArray[np.int64]]) -> None:
+         arrays: dict[str, NDArray[Any]]) -> None:
     """Write a result and, last, the manifest that makes it count."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / MANIFEST).unlink(missing_ok=True)
+    named: dict[str, Any] = dict(arrays)    # its stubs take any name for that of an option
     with replacing(folder / ARRAYS) as work:
         with open(work, 'wb') as out:
-            np.savez_compressed(out, **arrays)
+            np.savez_compressed(out, **named)
     write_json(folder / SUMMARY, summary)
     write_json(folder / MANIFEST, {'commit': rundir.commit(), **found})
 
 
-def load(
-        folder: Path, found: dict[str, Any] | None = None
-) -> tuple[dict[str, Any], dict[str, NDArray[np.int64]]] | None:
-    """Return (summary, arrays) of a finished result, None where *found* is not its identity."""
+def load(folder: Path, found: dict[str, Any] | None = None) -> Result | None:
+    """Return a finished result, None where *found* is not its identity."""
     folder = Path(folder)
     try:
         manifest = json.loads((folder / MANIFEST).read_text('utf-8'))
@@ -108,7 +108,7 @@ def load(
             return None
         summary = json.loads((folder / SUMMARY).read_text('utf-8'))
         with np.load(folder / ARRAYS, allow_pickle=False) as arrays:
-            return summary, dict(arrays)
+            return Result(summary, dict(arrays))
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError,
             zipfile.BadZipFile):
         return None
@@ -129,6 +129,6 @@ def changes(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _short(value: float | list[str] | None) -> str:
+def _short(value: object) -> str:
     text = ' '.join(str(value).split())
     return text if len(text) <= 60 else text[:57] + '...'

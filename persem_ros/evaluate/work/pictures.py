@@ -43,7 +43,9 @@ class Panels:
         classes = kinds.classes[:, columns] if columns else kinds.classes[:, :0]
         self._differ = (classes != classes[:, :1]).any(1) if columns \
             else np.zeros(len(kinds.codes), bool)
-        self._kept, self._number = [], 0
+        # A heap of (score, number of the frame, its panels).
+        self._kept: list[tuple[int, int, dict[str, NDArray[Any]]]] = []
+        self._number = 0
 
     def offer(self, frame: Frame, labels: NDArray[np.int32], truth: NDArray[np.int32] | None,
               voxels: NDArray[np.int32], images: list[NDArray[Any]]) -> None:
@@ -64,7 +66,7 @@ class Panels:
         while len(self._kept) > FRAMES:
             heapq.heappop(self._kept)
 
-    def arrays(self) -> dict[str, NDArray[np.uint16]]:
+    def arrays(self) -> dict[str, NDArray[Any]]:
         """Return the panels as {'panel/<frame>/<what>': image}, in order of the frames."""
         return {f'panel/{number}/{what}': image for _, number, panels in sorted(
             self._kept, key=lambda item: item[1]) for what, image in panels.items()}
@@ -72,11 +74,13 @@ class Panels:
     def _panels(
             self, frame: Frame, labels: NDArray[np.int32], truth: NDArray[np.int32] | None,
             voxels: NDArray[np.int32], images: list[NDArray[Any]]
-    ) -> dict[str, NDArray[np.uint16]]:
+    ) -> dict[str, NDArray[Any]]:
         """Return the images of one frame by what they show, class ids as uint16."""
         step = -(-labels.shape[1] // WIDTH)
         here = (slice(None, None, step),) * 2
-        panels = {} if frame.color is None else {'color': _small(frame.color)}
+        panels: dict[str, NDArray[Any]] = {}
+        if frame.color is not None:
+            panels['color'] = _small(frame.color)
         if truth is not None:
             panels['truth'] = ids(truth[here])
         for name, image in zip(self._sequence.images, images):
@@ -99,7 +103,8 @@ def ids(image: NDArray[Any]) -> NDArray[np.uint16]:
 
 
 def top_view(memory: VoxelMemory, labels: NDArray[np.uint16], sources: NDArray[np.uint8],
-             entropy: NDArray[np.float32], switch_rate: NDArray[np.float32]) -> dict[str, Any]:
+             entropy: NDArray[np.float32], switch_rate: NDArray[np.float32]
+             ) -> dict[str, NDArray[Any]]:
     """
     Return the map from above: of each column of voxels the top-most one.
 
@@ -130,9 +135,10 @@ def top_view(memory: VoxelMemory, labels: NDArray[np.uint16], sources: NDArray[n
                                     low[1] + height * scale]) * size}
 
 
-def _small(color: Any) -> Any:
-    """Return a colour image at the width of a panel."""
+def _small(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return a colour image (h, w, 3) at the width of a panel."""
     height, width = color.shape[:2]
     if width <= WIDTH:
         return np.ascontiguousarray(color)
-    return cv2.resize(color, (WIDTH, round(height * WIDTH / width)), interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.resize(color, (WIDTH, round(height * WIDTH / width)),
+                                 interpolation=cv2.INTER_AREA), np.uint8)

@@ -20,6 +20,7 @@ from persem_ros.evaluate.measure.classes import Classes
 from persem_ros.evaluate.measure.counts import stacked
 from persem_ros.evaluate.measure.frame_counter import Counter
 from persem_ros.evaluate.measure.measures import summary
+from persem_ros.evaluate.measure.result import Result
 from persem_ros.evaluate.measure.taxonomy import taxonomy
 from persem_ros.evaluate.measure.voxel_kinds import kinds_of
 from persem_ros.evaluate.work.pictures import Panels, top_view
@@ -42,8 +43,7 @@ BLOCKS = 30         # stretches of frames that intervals are made of
 
 
 def evaluate_sequence(
-        task: Task, tick: Callable[..., Any] | None = None
-) -> tuple[dict[str, Any], dict[str, NDArray[np.int64]]] | None:
+        task: Task, tick: Callable[[], object] | None = None) -> Result:
     """
     Evaluate one recording.
 
@@ -53,13 +53,6 @@ def evaluate_sequence(
         What is wanted.
     tick : callable, optional
         Called after each frame of both readings.
-
-    Returns
-    -------
-    summary : dict
-        JSON: what metrics.json has, with the stages' times and what was left out.
-    arrays : dict of str to ndarray
-        Counts by block, flicker by frame, confusion matrices, pictures.
 
     Raises
     ------
@@ -81,7 +74,7 @@ class Sequence:
     """An evaluation under way; parameters as of evaluate_sequence."""
 
     def __init__(
-            self, task: Task, recording: Recording, tick: Callable[..., Any] | None = None
+            self, task: Task, recording: Recording, tick: Callable[[], object] | None = None
     ) -> None:
         self.task, self.recording, self._tick = task, recording, tick
         self.stream = Stream(recording, task.predictions, task.disturbance)
@@ -145,10 +138,11 @@ class Sequence:
 
     def measure(self) -> None:
         """Read the recording again and count every frame."""
-        smoothers, blocks, changed, pairs, stamps = {}, [], [], [], []
+        smoothers: dict[str, EmaImages] = {}
+        blocks, changed, pairs, stamps = [], [], [], []
         ends = {self.frames * (b + 1) // min(BLOCKS, self.frames) for b in range(BLOCKS)}
-        pictured = self.panels is not None
-        for number, frame in enumerate(self._read(truth=True, color=pictured), 1):
+        for number, frame in enumerate(
+                self._read(truth=True, color=self.panels is not None), 1):
             with self.watch('reprojection'):
                 voxels = self.pipeline.voxel_image(frame)
             labels = on_depth(frame, frame.labels)
@@ -164,14 +158,14 @@ class Sequence:
                 stamps.append(frame.stamp)
                 if number in ends:
                     blocks.append(self.counter.block())
-            if pictured:
+            if self.panels is not None:
                 self.panels.offer(frame, labels, truth, voxels, images)
         self.blocks = stacked(blocks, len(self.classes))
         self.series = {'frame/changed': np.array(changed), 'frame/compared': np.array(pairs),
                        'frame/stamp': np.array(stamps, np.int64)}
 
-    def result(self, peak: int) -> tuple[dict[str, Any], dict[str, NDArray[np.int64]]]:
-        """Return (summary, arrays) of evaluate_sequence."""
+    def result(self, peak: int) -> Result:
+        """Return what evaluate_sequence() returns."""
         memory, ids = self.pipeline.memory, self.classes.ids
         matrix = self.blocks.pop('matrix')
         known = self.taxonomy.legend.ids        # those that it ignores are no surprise
@@ -198,13 +192,13 @@ class Sequence:
                 'map_bytes': int(sum(memory.nbytes().values())),
                 'stages': {name: round(s, 4) for name, s in seconds.items()},
                 'total_s': round(self.watch.total(), 3), 'threads': jit.threads()}}
-        arrays = {**self.blocks, **self.series, 'matrix': matrix,
-                  'ids': np.array(ids, np.int32)}
+        arrays: dict[str, NDArray[Any]] = {**self.blocks, **self.series, 'matrix': matrix,
+                                           'ids': np.array(ids, np.int32)}
         if self.panels is not None:
             arrays.update(self.panels.arrays())
             arrays.update(top_view(memory, self.labels_of(self.task.config.refine.method),
                                    self.sources, self.entropy, self.switch_rate))
-        return result, arrays
+        return Result(result, arrays)
 
     def labels_of(self, method: str) -> NDArray[np.uint16]:
         """Return a method's labels by voxel number; the majority where it was not asked for."""

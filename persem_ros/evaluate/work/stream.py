@@ -53,7 +53,7 @@ class Disturbance:
     order: str = 'recorded'
     seed: int = 0
 
-    def with_value(self, name: str, value: float | str) -> Disturbance | None:
+    def with_value(self, name: str, value: object) -> Disturbance:
         """
         Return this with one value replaced.
 
@@ -63,9 +63,8 @@ class Disturbance:
             For an unknown name or a value that does not fit.
 
         """
-        known = {f.name: f.type for f in fields(self)}
-        if name not in known:
-            known = [f'disturb.{n}' for n in known]
+        known = [f'disturb.{field.name}' for field in fields(self)]
+        if f'disturb.{name}' not in known:
             raise PersemError(f"unknown setting 'disturb.{name}'"
                               f'{nearest("disturb." + name, known)}; expected one of '
                               f'{", ".join(known)}')
@@ -73,10 +72,11 @@ class Disturbance:
             if value not in ORDERS:
                 raise PersemError(f'disturb.order: expected one of {", ".join(ORDERS)}, got '
                                   f'{value!r}')
-        elif isinstance(value, (str, bool)) or not 0 <= value < float('inf') or \
-                name == 'seed' and value != int(value):
+        elif isinstance(value, bool) or not isinstance(value, (int, float)) or \
+                not 0 <= value < float('inf') or name == 'seed' and value != int(value):
             raise PersemError(f'disturb.{name}: expected a number from 0 on, got {value!r}')
-        return replace(self, **{name: value})
+        changed: dict[str, Any] = {name: value}
+        return replace(self, **changed)
 
 
 class Stream:
@@ -122,7 +122,7 @@ class Stream:
             yield frame
 
 
-def prediction_files(folder: str) -> dict[int, Path] | None:
+def prediction_files(folder: str) -> dict[int, Path]:
     """
     Return {stamp: path} of a folder of label images.
 
@@ -156,15 +156,14 @@ def predicted(frame: Frame, path: Path) -> Frame:
 def disturbed(frame: Frame, disturbance: Disturbance, rng: np.random.Generator,
               walk: NDArray[np.float64]) -> Frame:
     """Return a frame with noise of *rng* and the drift *walk*, shape (3,), metres."""
-    d = disturbance
-    changes = {}
+    d, T, depth = disturbance, frame.T_map_camera, frame.depth
     if d.pose_noise or d.attitude_noise or d.pose_drift:
         angles = np.radians(rng.normal(0.0, d.attitude_noise, 3)) / 2
-        turn = transform(np.zeros(3), [*angles, np.sqrt(max(0.0, 1 - angles @ angles))])
-        T = np.array(frame.T_map_camera)
+        turn = transform(np.zeros(3), [*angles, np.sqrt(max(0.0, float(1 - angles @ angles)))])
+        T = np.array(T)
         T[:3, :3] = T[:3, :3] @ turn[:3, :3]
         T[:3, 3] += rng.normal(0.0, d.pose_noise, 3) + walk
-        changes['T_map_camera'] = T
     if d.depth_noise:
-        changes['depth'] = frame.depth * (1 + rng.normal(0.0, d.depth_noise, frame.depth.shape))
-    return replace(frame, **changes) if changes else frame
+        depth = depth * (1 + rng.normal(0.0, d.depth_noise, depth.shape))
+    same = T is frame.T_map_camera and depth is frame.depth
+    return frame if same else replace(frame, T_map_camera=T, depth=depth)

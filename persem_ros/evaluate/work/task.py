@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from persem_ros.evaluate.work.stream import Disturbance
 from persem_ros.inputs.recording.excerpt import Excerpt, WHOLE
@@ -41,7 +40,7 @@ class Task:
 
     recording: str
     config: Config = field(default_factory=Config)
-    methods: tuple[Any, ...] = ALL_METHODS
+    methods: tuple[str, ...] = ALL_METHODS
     labels: str = ''
     grouped: bool = False
     dynamic: bool = True

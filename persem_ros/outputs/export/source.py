@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -153,7 +153,8 @@ class MapSource:
         own = Legend.from_yaml(about['legend'], str(self.path)) if about['legend'] else None
         self.legend = legend or own or Legend()
 
-    def chunks(self, choice: Choice | None = None, blocks: int = BLOCKS) -> Iterator[Columns]:
+    def chunks(self, choice: Choice | None = None,
+               blocks: int = BLOCKS) -> Generator[Columns, None, None]:
         """
         Yield the chosen voxels' columns, sorted by block, *blocks* blocks at a time.
 
@@ -236,7 +237,7 @@ class MapSource:
         self.lines = self.lines + [(row[2], row[3]) for row in rows]
         self.stamps = np.concatenate([self.stamps, np.array([row[4] for row in rows], np.int64)])
 
-    def shown(self, choice: Choice, what: str) -> AbstractContextManager[Iterator[Columns]]:
+    def shown(self, choice: Choice, what: str) -> AbstractContextManager[Iterable[Columns]]:
         """Give chunks(choice) to be looped over, with a progress bar called *what*."""
         return progress(self.chunks(choice), what, -(-self.n_blocks // BLOCKS), 'parts')
 

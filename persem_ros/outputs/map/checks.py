@@ -160,12 +160,13 @@ def _check_counters(saved: MemoryDump, starts: NDArray[np.int64],
     They may be larger: blocks that were let go are counted on.
 
     """
-    fits = {'class counters': bool(
+    fits: dict[str, bool] = {'class counters': bool(
         (saved.starts >= starts).all() and (saved.changes >= changes).all() and
         (saved.changes <= saved.starts).all() and (saved.starts < 1 << 62).all() and
         (saved.seen_ids <= 1).all())}
     if saved.rho is not None:
-        fits['class volatility'] = bool(((saved.rho >= 0) & (saved.rho <= 1)).all())
+        rho = np.asarray(saved.rho)
+        fits['class volatility'] = bool(((rho >= 0) & (rho <= 1)).all())
     _all_or_damaged(fits)
 
 

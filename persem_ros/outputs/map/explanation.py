@@ -86,14 +86,16 @@ def explanation(around: Surroundings, voxel: NDArray[np.int32], trace: dict[str,
     return '\n'.join(lines)
 
 
-def names(legend: Legend) -> Callable[..., Any]:
+Namer = Callable[[int], str]        # the name of a class id
+
+
+def names(legend: Legend) -> Namer:
     """Return a function that gives a class id's name, fit for a terminal."""
     return lambda c: ''.join(x if x.isprintable() else '?' for x in legend.name(c))
 
 
 def reasons(
-        trace: dict[str, Any], settings: Refine, name: Callable[..., Any], voxel_size: Any
-) -> list[str]:
+        trace: dict[str, Any], settings: Refine, name: Namer, voxel_size: float) -> list[str]:
     """Return the steps from the evidence to the label, a sentence each, with their numbers."""
     majority, result = trace['majority'], []
     most = trace['evidence'][majority]
@@ -124,9 +126,9 @@ def reasons(
     return result
 
 
-def _by_geometry(found: Any, voxel_size: Any, name: Any) -> Any:
+def _by_geometry(found: dict[str, Any], voxel_size: float, name: Namer) -> list[str]:
     """Return the sentences about votes, place, names of such places, neighbours and outcome."""
-    def leading(values: Any) -> Any:
+    def leading(values: dict[int, float]) -> str:
         best = sorted(values, key=lambda c: (-values[c], c))[:3]
         return ', '.join(f'{name(c)} {values[c]:.2f}' for c in best if values[c] >= 0.005)
 
@@ -141,7 +143,7 @@ def _by_geometry(found: Any, voxel_size: Any, name: Any) -> Any:
     return result + [f'all together: {leading(found["posterior"])}']
 
 
-def geometry_table(found: Any, name: Any) -> Any:
+def geometry_table(found: dict[str, Any], name: Namer) -> list[str]:
     """Return the table of what each class gets from every part of the method geometry."""
     lines = [f'{"id":>5}  {"class":<20}{"looks":>9}{"overall":>9}{"shape":>9}{"here":>9}'
              f'{"here 2":>9}{"around":>9}{"together":>11}']
@@ -154,7 +156,7 @@ def geometry_table(found: Any, name: Any) -> Any:
     return [*lines, *GEOMETRY_WORDS]
 
 
-def _refinement(trace: dict[str, Any], settings: Refine, name: Callable[..., Any]) -> list[str]:
+def _refinement(trace: dict[str, Any], settings: Refine, name: Namer) -> list[str]:
     """Return the sentences about anchor, replay and context."""
     majority, candidate, result = trace['majority'], trace['candidate'], []
     if settings.method in ('history', 'context_history', 'persem'):
@@ -184,7 +186,7 @@ def _refinement(trace: dict[str, Any], settings: Refine, name: Callable[..., Any
     return result
 
 
-def _anchor(trace: dict[str, Any], settings: Refine, name: Callable[..., Any]) -> str:
+def _anchor(trace: dict[str, Any], settings: Refine, name: Namer) -> str:
     """Return the sentence about the history anchor."""
     label, majority = trace['anchor_label'], trace['majority']
     if label is None:
@@ -201,7 +203,7 @@ def _against(margin: float, tau: float) -> str:
     return 'above' if margin > tau + TIE else 'not above'
 
 
-def evidence_table(trace: dict[str, Any], name: Callable[..., Any]) -> list[str]:
+def evidence_table(trace: dict[str, Any], name: Namer) -> list[str]:
     """Return the table of all classes that the voxel or its neighbours have seen."""
     lines = [f'{"id":>5}  {"class":<20}{"h_v":>10}{"p_v":>9}{"q_v":>9}{"S_hard":>9}'
              f'{"anchor":>9}{"replayed":>10}']
@@ -215,7 +217,7 @@ def evidence_table(trace: dict[str, Any], name: Callable[..., Any]) -> list[str]
 
 
 def history_table(
-        trace: dict[str, Any], frames: FrameTable, name: Callable[..., Any]) -> list[str]:
+        trace: dict[str, Any], frames: FrameTable, name: Namer) -> list[str]:
     """Return the table of the stored observations, with the replay's steps."""
     stamps = dict(zip(frames.t[::-1].tolist(), frames.stamp[::-1].tolist()))
     lines = [f'{"t":>6}  {"stamp, s":<22}{"id":>5}  {"class":<20}{"s":>7}{"gap":>6}{"g":>3}'

@@ -65,8 +65,10 @@ class LivingMap:
 
     """
 
-    def __init__(self, path: Path, config: Config, legend: Callable[[], Legend],
-                 ) -> None:
+    _writer: sqlite3.Connection
+    _reader: sqlite3.Connection
+
+    def __init__(self, path: Path, config: Config, legend: Callable[[], Legend]) -> None:
         self.path, self.config, self.legend = path, config, legend
         self.damaged: set[tuple[int, ...]] = set()
         self._writing = threading.Lock()
@@ -213,7 +215,7 @@ class LivingMap:
     def _checked(self, rows: list[Any]) -> Blocks:
         """Return what rows hold; raise one of DAMAGED where they are not as they were written."""
         for row in rows:
-            if not all(map(isinstance, row, KINDS['blocks'])):
+            if not all(isinstance(value, kind) for value, kind in zip(row, KINDS['blocks'])):
                 raise TypeError('a value of another type')
         blocks = blocks_of(rows)
         check_blocks(blocks, self._t, self._seen)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ PROPERTIES = (
 VERTEX = np.dtype([(name, code) for name, _, code in PROPERTIES])
 
 
-def write_ply(path: Path | str, points: NDArray[np.void], comments: Sequence[Any] = ()) -> None:
+def write_ply(path: Path | str, points: NDArray[np.void], comments: Sequence[str] = ()) -> None:
     """
     Write map points, whole or not at all.
 
@@ -45,7 +45,7 @@ def write_ply(path: Path | str, points: NDArray[np.void], comments: Sequence[Any
 
 
 def write_ply_parts(path: Path | str, n: int, parts: Iterable[NDArray[np.void]],
-                    comments: Sequence[Any] = ()) -> None:
+                    comments: Sequence[str] = ()) -> None:
     """Write n map points that come in parts, as write_ply does with all of them."""
     lines = ['ply', 'format binary_little_endian 1.0',
              *(f'comment {" ".join(text.split())}' for text in comments),
@@ -55,7 +55,7 @@ def write_ply_parts(path: Path | str, n: int, parts: Iterable[NDArray[np.void]],
         with open(work, 'wb') as out:
             out.write('\n'.join(lines).encode('ascii', 'replace'))
             for points in parts:
-                out.write(memoryview(_vertices(points)).cast('B'))
+                out.write(_vertices(points).data.cast('B'))
 
 
 def _vertices(points: NDArray[np.void]) -> NDArray[np.void]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import fields
 import struct
 from typing import Any
@@ -71,7 +71,7 @@ def small_rows(saved: MemoryDump) -> dict[str, Any]:
             'mounts': list(_mount_rows(saved)), 'classes': list(_class_rows(saved))}
 
 
-def about_rows(about: Any, tables: Any) -> Any:
+def about_rows(about: dict[str, Any], tables: dict[str, Any]) -> list[Any]:
     """
     Return the rows that about's 'crc' covers: about's own and those of the smallest tables.
 
@@ -82,7 +82,7 @@ def about_rows(about: Any, tables: Any) -> Any:
             *(row for name in ('sessions', 'mounts', 'classes') for row in tables[name])]
 
 
-def _mount_rows(saved: Any) -> Iterator[Any]:
+def _mount_rows(saved: MemoryDump) -> Iterator[tuple[int, str, bytes]]:
     """Yield the rows of the table mounts."""
     for number, session in sorted(saved.frames.sessions.items()):
         for sensor, mount in sorted(session.mounts.items()):
@@ -97,26 +97,26 @@ def frame_rows(table: FrameTable, first: int = 0) -> Iterator[tuple[Any, ...]]:
                int(table.stamp[row]), placed, None if best == placed else best)
 
 
-def _matrix(T: Any) -> Any:
+def _matrix(T: NDArray[np.float64]) -> bytes:
     """Return a 4x4 matrix as bytes."""
     return np.ascontiguousarray(T, '<f8').tobytes()
 
 
 def _class_rows(saved: MemoryDump) -> Iterator[tuple[float, ...]]:
     """Yield the rows of the table classes: ids that were ever counted."""
-    rho = np.zeros(len(saved.starts)) if saved.rho is None else saved.rho
+    rho = np.zeros(len(saved.starts)) if saved.rho is None else np.asarray(saved.rho)
     for c in np.flatnonzero((saved.starts != 0) | (saved.changes != 0) | (saved.seen_ids != 0)):
         yield (int(c), int(saved.starts[c]), int(saved.changes[c]), int(saved.seen_ids[c]),
                float(rho[c]))
 
 
-def block_rows(saved: MemoryDump) -> Iterator[tuple[bytes | int, ...]]:
-    """Yield the rows of the table blocks, sorted by index; columns are views, not copies."""
+def block_rows(saved: MemoryDump) -> Iterator[tuple[Any, ...]]:
+    """Yield the rows of the table blocks, sorted by index: integers, then views."""
     arrays = {field.name: getattr(saved, field.name) for field in fields(saved)}
     arrays['evidence_count'] = np.diff(saved.evidence_start)
     arrays['history_count'] = np.diff(saved.history_start)
     columns = [np.ascontiguousarray(arrays[name], kind) for name, kind in COLUMNS]
-    views = [memoryview(column.reshape(-1).view(np.uint8)) for column in columns]
+    views = [column.reshape(-1).view(np.uint8).data for column in columns]
     sizes = [column.itemsize * AXES.get(name, 1) for column, (name, _) in zip(columns, COLUMNS)]
     borders = saved.block_start, saved.evidence_start[saved.block_start], \
         saved.history_start[saved.block_start]
@@ -126,7 +126,8 @@ def block_rows(saved: MemoryDump) -> Iterator[tuple[bytes | int, ...]]:
     index, rows = saved.block_index.tolist(), np.diff(saved.block_start).tolist()
     looks = np.diff(np.concatenate([[0], np.cumsum(saved.passed > 0)])[saved.block_start])
     for b, (x, y, z) in enumerate(index):
-        data = [view[edge[b]:edge[b + 1]] for view, edge in zip(views, edges)]
+        data: list[bytes | memoryview] = [
+            view[edge[b]:edge[b + 1]] for view, edge in zip(views, edges)]
         if not looks[b]:
             data[-len(SPARSE):] = [b''] * len(SPARSE)
         key = x, y, z, rows[b]
@@ -168,7 +169,7 @@ def from_rows(rows: dict[str, Any], part: bool = False,
     if first:
         columns |= schema1.added(columns, columns['history_start'], table)
         del columns['history_t']
-    habits = {} if 'habits' not in about else dict(zip(
+    habits: dict[str, Any] = {} if 'habits' not in about else dict(zip(
         ('habits', 'fitted_by'), from_blob(about['habits'])))
     saved = MemoryDump(
         **columns, voxel_size=about['voxel_size'], origin=struct.unpack('<3d', about['origin']),
@@ -241,7 +242,7 @@ def columns_of(blocks: list[Any], first: bool) -> dict[str, NDArray[Any]]:
     return columns
 
 
-def _frame_table(frames: Any, sessions: Any, mounts: Any) -> Any:
+def _frame_table(frames: list[Any], sessions: list[Any], mounts: list[Any]) -> FrameTable:
     """Return the FrameTable in the rows of three tables."""
     table = FrameTable()
     if [row[0] for row in frames] != list(range(len(frames))):
@@ -257,12 +258,12 @@ def _frame_table(frames: Any, sessions: Any, mounts: Any) -> Any:
     return table
 
 
-def matrices(blobs: Any) -> Any:
-    """Return the n 4x4 matrices that are in *blobs*, float64."""
+def matrices(blobs: Sequence[bytes]) -> NDArray[np.float64]:
+    """Return the n 4x4 matrices that are in *blobs*."""
     return np.frombuffer(b''.join(blobs), '<f8').reshape(len(blobs), 4, 4).copy()
 
 
-def crc_of(rows: Any, crc: Any = 0) -> Any:
+def crc_of(rows: Iterable[Iterable[Any]], crc: int = 0) -> int:
     """Return the CRC-32 of rows of numbers, texts and bytes, which goes on from *crc*."""
     for row in rows:
         for value in row:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.memory.frame_table import FrameTable, Session, session_uuid
@@ -19,8 +22,9 @@ NAMES = {'about': ('name', 'value'),
          'frames': ('row', 't', 'session', 'sensor', 'stamp', 'T_map_sensor'),
          'classes': ('id', 'starts', 'changes', 'seen', 'rho'),
          'blocks': ('x', 'y', 'z', 'voxels', 'crc', *(name for name, _ in COLUMNS))}
-KINDS = {'about': (str, (int, float, str, bytes)), 'frames': (int, int, int, str, int, bytes),
-         'classes': (int, int, int, int, float), 'blocks': (int,) * 5 + (bytes,) * len(COLUMNS)}
+KINDS: dict[str, Sequence[type | tuple[type, ...]]] = {
+    'about': (str, (int, float, str, bytes)), 'frames': (int, int, int, str, int, bytes),
+    'classes': (int, int, int, int, float), 'blocks': (int,) * 5 + (bytes,) * len(COLUMNS)}
 
 
 def frame_table(rows: list[tuple[int, int, int, str, int, bytes]]) -> FrameTable:
@@ -36,8 +40,8 @@ def frame_table(rows: list[tuple[int, int, int, str, int, bytes]]) -> FrameTable
     return table
 
 
-def added(columns: dict[str, NDArray], history_start: NDArray[np.int64],
-          table: FrameTable) -> dict[str, NDArray]:
+def added(columns: dict[str, NDArray[Any]], history_start: NDArray[np.int64],
+          table: FrameTable) -> dict[str, NDArray[Any]]:
     """
     Return the columns that schema 2 adds.
 
@@ -48,7 +52,7 @@ def added(columns: dict[str, NDArray], history_start: NDArray[np.int64],
     ----------
     columns : dict
         Those of COLUMNS, of all voxels.
-    history_start : ndarray, shape (n + 1,), int64
+    history_start : ndarray, shape (n + 1,)
         Where each voxel's history begins.
     table : FrameTable
         The frames of the file.

@@ -9,7 +9,7 @@ Any SQLite program reads the file; docs/map_file.md describes the columns.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 import logging
@@ -32,7 +32,7 @@ from persem_ros.outputs.map import schema1
 from persem_ros.outputs.map.lock import WriterLock
 from persem_ros.outputs.map.rows import blocks_of, from_rows, to_rows
 from persem_ros.outputs.map.tables import (
-    bring_up, check_ours, declared, KINDS, NAMES, ORDER, SCHEMA, TABLES)
+    bring_up, check_ours, declared, KINDS, Kinds, NAMES, ORDER, SCHEMA, TABLES)
 from persem_ros.settings import config_file
 from persem_ros.settings.legend import Legend
 
@@ -300,10 +300,11 @@ def head(path: Path | str) -> Head:
 def _read(path: Path, which: str | None) -> Head:
     """Return what a file holds, with all blocks (''), those of a WHERE, or without (None)."""
     with reading(path) as (db, first):
-        names, kinds = (schema1.NAMES, schema1.KINDS) if first else (NAMES, KINDS)
+        names = schema1.NAMES if first else NAMES
+        kinds: dict[str, Kinds] = schema1.KINDS if first else KINDS
         size = held_by(path)
         where = dict.fromkeys(ORDER, '') | {'blocks': which}
-        rows = {table: list(checked(
+        rows: dict[str, Any] = {table: list(checked(
             db.execute(f'SELECT * FROM {table} {where[table]} ORDER BY {ORDER[table]}'),
             kinds[table], size))
             for table in ORDER if table in names and where[table] is not None}
@@ -357,10 +358,10 @@ def _check_magic(path: Path) -> None:
         raise PersemError(f'{path}: not a map file; {EXPECTED}')
 
 
-def _schema(db: Any, path: Any) -> Any:
+def _schema(db: sqlite3.Connection, path: Path) -> int:
     """Return the schema of a map file; refuse another database, or a schema not known."""
     application = db.execute('PRAGMA application_id').fetchone()[0]
-    schema = db.execute('PRAGMA user_version').fetchone()[0]
+    schema: int = db.execute('PRAGMA user_version').fetchone()[0]
     if application != APPLICATION:
         raise PersemError(f'{path}: a database, but not a map file; {EXPECTED}')
     if not 1 <= schema <= SCHEMA:
@@ -369,17 +370,17 @@ def _schema(db: Any, path: Any) -> Any:
     return schema
 
 
-def _insert(db: sqlite3.Connection, table: str, rows: Iterator[Any] | list[Any]) -> None:
+def _insert(db: sqlite3.Connection, table: str, rows: Iterable[Any]) -> None:
     """Insert all rows, whose number of columns the first one tells."""
-    rows = iter(rows)
-    first = next(rows, None)
+    left = iter(rows)
+    first = next(left, None)
     if first is not None:
         statement = f'INSERT INTO {table} VALUES ({", ".join("?" * len(first))})'
         db.execute(statement, first)
-        db.executemany(statement, rows)
+        db.executemany(statement, left)
 
 
-def _why(error: Any) -> str:
+def _why(error: Exception) -> str:
     """Return what is damaged, in a few words."""
     text = str(error) if isinstance(error, (sqlite3.Error, ValueError)) else ''
     if text == 'interrupted':       # by guard.database.limit_steps

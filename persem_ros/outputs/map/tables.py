@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 import sqlite3
+from typing import Union
 
 from persem_ros.guard.database import check_declared, check_tables, columns_of, Unsafe
 
@@ -49,10 +51,11 @@ NAMES = {'about': ('name', 'value'),
          'frames': ('row', 't', 'session', 'sensor', 'stamp', 'T_map_sensor', 'T_map_best'),
          'classes': ('id', 'starts', 'changes', 'seen', 'rho'),
          'blocks': ('x', 'y', 'z', 'voxels', 'crc', *(name for name, _ in COLUMNS))}
-KINDS = {'about': (str, (int, float, str, bytes)), 'sessions': (int, str),
-         'mounts': (int, str, bytes),
-         'frames': (int, int, int, str, int, bytes, (bytes, type(None))),
-         'classes': (int, int, int, int, float), 'blocks': (int,) * 5 + (bytes,) * len(COLUMNS)}
+Kinds = Sequence[Union[type, tuple[type, ...]]]      # of the values of a row
+KINDS: dict[str, Kinds] = {
+    'about': (str, (int, float, str, bytes)), 'sessions': (int, str), 'mounts': (int, str, bytes),
+    'frames': (int, int, int, str, int, bytes, (bytes, type(None))),
+    'classes': (int, int, int, int, float), 'blocks': (int,) * 5 + (bytes,) * len(COLUMNS)}
 
 
 def check_ours(db: sqlite3.Connection) -> None:

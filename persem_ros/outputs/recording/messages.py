@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -70,14 +71,14 @@ class MessageFactory:
         return self.make('sensor_msgs/msg/Image', self.header(stamp, frame_id), *shape, encoding,
                          0, step, data)
 
-    def compressed(self, stamp: int, frame_id: str, image_format: str, data: bytes) -> Any:
-        """Return a sensor_msgs/CompressedImage of encoded bytes or a uint8 array."""
-        data = np.frombuffer(data, np.uint8)
+    def compressed(self, stamp: int, frame_id: str, image_format: str,
+                   data: bytes | NDArray[np.uint8]) -> Any:
+        """Return a sensor_msgs/CompressedImage of what has been encoded."""
         return self.make('sensor_msgs/msg/CompressedImage', self.header(stamp, frame_id),
-                         image_format, data)
+                         image_format, np.frombuffer(data, np.uint8))
 
     def camera_info(self, stamp: int, frame_id: str, width: int, height: int,
-                    K: NDArray[np.float64], D: NDArray[np.float64] | tuple[float, ...] = (),
+                    K: NDArray[np.float64], D: NDArray[np.float64] | Sequence[float] = (),
                     model: str = 'plumb_bob', P: NDArray[np.float64] | None = None) -> Any:
         """Return a sensor_msgs/CameraInfo; K (3, 3), D any length, P (3, 4), default [K 0]."""
         K = np.asarray(K, float).reshape(3, 3)
@@ -160,8 +161,7 @@ class MessageFactory:
         """
         points = np.ascontiguousarray(points).reshape(-1)
         fields = []
-        for name in points.dtype.names:
-            kind, offset = points.dtype.fields[name][:2]
+        for name, (kind, offset, *_) in (points.dtype.fields or {}).items():
             base, count = (kind.base, int(np.prod(kind.shape)))
             if base.str[1:] not in DATATYPES or base.str[0] == '>':
                 raise PersemError(f'point field {name!r}: expected a little-endian type of '

@@ -11,14 +11,16 @@ from persem_ros.outputs.recording.writer import RecordingWriter
 
 if TYPE_CHECKING:
     from pathlib import Path
+    from types import TracebackType
 
     from persem_ros.frames import Frame
     from persem_ros.outputs.results.rundir import Stopwatch
     from persem_ros.settings.config import Config
     from persem_ros.settings.legend import Legend
 
-TYPES = {'mono8': np.uint8, '8UC1': np.uint8, 'mono16': np.uint16, '16UC1': np.uint16,
-         '16SC1': np.int16, '32SC1': np.int32}
+TYPES: dict[str, type[np.integer[Any]]] = {
+    'mono8': np.uint8, '8UC1': np.uint8, 'mono16': np.uint16, '16UC1': np.uint16,
+    '16SC1': np.int16, '32SC1': np.int32}
 
 
 class RefinedWriter:
@@ -52,9 +54,11 @@ class RefinedWriter:
             stack.pop_all()     # open now, until __exit__
         return self
 
-    def __exit__(self, *error: Any) -> bool:
+    def __exit__(
+            self, kind: type[BaseException] | None, value: BaseException | None,
+            traceback: TracebackType | None) -> None:
         """Put the recording under its name, or remove what there is of it."""
-        return self._out.__exit__(*error)
+        self._out.__exit__(kind, value, traceback)
 
     def frame(self, frame: Frame, labels: NDArray[np.int32]) -> None:
         """Write a frame's refined labels, int32 (H, W), in the encoding of its input."""
@@ -75,15 +79,15 @@ class RefinedWriter:
             self._out.cloud('/mapper/map', stamp, self._config.frames.map, points, latched=True)
 
 
-def fitted(labels: NDArray[np.int32], encoding: str) -> NDArray[np.uint16]:
+def fitted(labels: NDArray[np.int32], encoding: str) -> NDArray[np.integer[Any]]:
     """
-    Return labels, int32, in the pixel type of an image encoding.
+    Return labels in the pixel type of an image encoding.
 
     An id that the type cannot hold (another camera's, UNKNOWN) becomes its largest value.
 
     """
-    pixel = np.dtype(TYPES[encoding])
+    pixel = TYPES[encoding]
     limit = np.iinfo(pixel).max
-    if pixel.kind == 'u':
-        labels = labels.view(np.uint32)     # a negative id is a huge one
-    return np.minimum(labels, limit).astype(pixel)
+    # Where a negative id does not fit, it is a huge one.
+    ids = labels.view(np.uint32) if np.dtype(pixel).kind == 'u' else labels
+    return np.minimum(ids, limit).astype(pixel)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 import shutil
 import sqlite3
 import tempfile
-from typing import Any
+from types import TracebackType
+from typing import Any, Literal, ParamSpec, TypeVar, Union
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,15 +17,19 @@ from persem_ros.errors import PersemError
 from persem_ros.outputs.recording.messages import MessageFactory
 from persem_ros.outputs.recording.target import check_target
 from rosbags.interfaces import (
-    Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime)
+    Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime)
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
 
 # Of metadata.yaml. Version 9 only spells QoS profiles in another way, which ROS 2 before Jazzy
 # cannot open; Humble reads 8, and nothing is lost.
-VERSION = 8
+VERSION: Literal[8] = 8
 STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
 FILE_ERRORS = (OSError, sqlite3.Error)
+
+Data = Union[bytes, memoryview]
+Arguments = ParamSpec('Arguments')
+Result = TypeVar('Result')
 
 
 class RecordingWriter:
@@ -64,9 +69,11 @@ class RecordingWriter:
         self.typestore = get_typestore(Stores.ROS2_JAZZY)
         self.make = MessageFactory(self.typestore.types)
         self._storage, self._compress, self._force = storage, compress, force
-        self._connections = {}
-        self._waiting = []      # messages without a stamp, until the recording starts
-        self._work = self._writer = None
+        self._connections: dict[tuple[str, str], Connection] = {}
+        # Messages without a stamp, until the recording starts.
+        self._waiting: list[tuple[Connection, Data]] = []
+        self._work: Path | None = None
+        self._writer: Writer | None = None
         check_target(self.path, force)
 
     def __enter__(self) -> RecordingWriter:
@@ -75,35 +82,40 @@ class RecordingWriter:
             target.parent.mkdir(parents=True, exist_ok=True)
             # Built under its final name inside a hidden folder: rosbag2 names files after it.
             self._work = Path(tempfile.mkdtemp('.partial', f'.{target.name}.', target.parent))
-            self._writer = Writer(self._work / target.name, version=VERSION,
-                                  storage_plugin=STORAGES[self._storage])
+            writer = self._writer = Writer(self._work / target.name, version=VERSION,
+                                           storage_plugin=STORAGES[self._storage])
             if self._compress:
-                self._writer.set_compression(
+                writer.set_compression(
                     CompressionMode.STORAGE if self._storage == 'mcap'
                     else CompressionMode.MESSAGE, CompressionFormat.ZSTD)
-            self._writer.open()
+            writer.open()
         except FILE_ERRORS as error:
             self._discard()
             raise self._refusal(error) from error
         return self
 
     def __exit__(
-            self, kind: type[PersemError] | None, value: PersemError | None, traceback: Any
-    ) -> bool:
+            self, kind: type[BaseException] | None, value: BaseException | None,
+            traceback: TracebackType | None) -> None:
         if kind is not None:
             self._discard()
-            return False
+            return
+        writer, work = self._opened()
         try:
             self._start(0)
-            self._writer.close()
-            self._move()
+            writer.close()
+            self._move(work)
         except BaseException as error:
             self._discard()
             if isinstance(error, FILE_ERRORS):
                 raise self._refusal(error) from error
             raise
-        shutil.rmtree(self._work, ignore_errors=True)
-        return False
+        shutil.rmtree(work, ignore_errors=True)
+
+    def _opened(self) -> tuple[Writer, Path]:
+        """Return the writer and its hidden folder, which are there once the context is entered."""
+        assert self._writer is not None and self._work is not None, 'write inside of "with"'
+        return self._writer, self._work
 
     def image(
             self, topic: str, stamp: int, frame_id: str, array: NDArray[Any], encoding: str
@@ -119,8 +131,8 @@ class RecordingWriter:
         self.message(topic, stamp, 'sensor_msgs/msg/CompressedImage', message)
 
     def camera_info(self, topic: str, stamp: int, frame_id: str, width: int, height: int,
-                    K: NDArray[np.float64], D: tuple[Any, ...] = (), model: str = 'plumb_bob',
-                    P: Any = None) -> None:
+                    K: NDArray[np.float64], D: NDArray[np.float64] | Sequence[float] = (),
+                    model: str = 'plumb_bob', P: NDArray[np.float64] | None = None) -> None:
         """Write a sensor_msgs/CameraInfo; P is [K 0] where none is given."""
         message = self.make.camera_info(stamp, frame_id, width, height, K, D, model, P)
         self.message(topic, stamp, 'sensor_msgs/msg/CameraInfo', message)
@@ -135,9 +147,8 @@ class RecordingWriter:
         """Write a nav_msgs/Path of (stamp, 4x4 matrix from what is posed to *frame_id*)."""
         self.message(topic, stamp, 'nav_msgs/msg/Path', self.make.path(stamp, frame_id, poses))
 
-    def tf(
-            self, stamp: int, parent: str, child: str, T: NDArray[np.float64], static: bool = False
-    ) -> None:
+    def tf(self, stamp: int | None, parent: str, child: str, T: NDArray[np.float64],
+           static: bool = False) -> None:
         """Write a transform from *child* to *parent* to /tf, or latched to /tf_static."""
         transform = self.make.transform(stamp or 0, parent, child, T)
         self.message('/tf_static' if static else '/tf', stamp, 'tf2_msgs/msg/TFMessage',
@@ -149,7 +160,8 @@ class RecordingWriter:
         message = self.make.cloud(stamp, frame_id, points)
         self.message(topic, stamp, 'sensor_msgs/msg/PointCloud2', message, latched)
 
-    def text(self, topic: str, text: str, latched: bool = False, stamp: Any = None) -> None:
+    def text(self, topic: str, text: str, latched: bool = False,
+             stamp: int | None = None) -> None:
         """Write a std_msgs/String."""
         message = self.make.make('std_msgs/msg/String', text)
         self.message(topic, stamp, 'std_msgs/msg/String', message, latched)
@@ -170,12 +182,12 @@ class RecordingWriter:
         self._start(stamp)
         self._write(connection, stamp, data)
 
-    def _connection(self, topic: str, typename: str, latched: bool) -> Any:
+    def _connection(self, topic: str, typename: str, latched: bool) -> Connection:
         topic = topic if topic.startswith('/') else f'/{topic}'
         if (topic, typename) not in self._connections:
             depth = 100 if topic in ('/tf', '/tf_static') else 1 if latched else 10
             self._connections[topic, typename] = self._guarded(
-                self._writer.add_connection, topic, typename, typestore=self.typestore,
+                self._opened()[0].add_connection, topic, typename, typestore=self.typestore,
                 offered_qos_profiles=[_qos(depth, latched)])
         return self._connections[topic, typename]
 
@@ -185,28 +197,29 @@ class RecordingWriter:
         for connection, data in waiting:
             self._write(connection, stamp, data)
 
-    def _write(self, connection: Any, stamp: int, data: bytes) -> None:
-        self._guarded(self._writer.write, connection, int(stamp), data)
+    def _write(self, connection: Connection, stamp: int, data: Data) -> None:
+        self._guarded(self._opened()[0].write, connection, int(stamp), data)
 
-    def _guarded(self, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
+    def _guarded(self, function: Callable[Arguments, Result], *args: Arguments.args,
+                 **kwargs: Arguments.kwargs) -> Result:
         try:
             return function(*args, **kwargs)
         except FILE_ERRORS as error:
             raise self._refusal(error) from error
 
-    def _refusal(self, error: Any) -> PersemError:
+    def _refusal(self, error: BaseException) -> PersemError:
         reason = getattr(error, 'strerror', None) or error
         return PersemError(f'cannot write {self.path}: {reason}')
 
-    def _move(self) -> None:
+    def _move(self, work: Path) -> None:
         """Put the finished folder in its place; the old one goes only when it is there."""
         target = self.path.absolute()
         check_target(target, self._force)
-        old = self._work / f'{target.name}.replaced'
+        old = work / f'{target.name}.replaced'
         try:
             if target.exists():
                 target.rename(old)
-            (self._work / target.name).rename(target)
+            (work / target.name).rename(target)
         except BaseException:       # an interrupt, too: what goes wrong here keeps the old one
             if old.exists() and not target.exists():
                 old.rename(target)
@@ -220,7 +233,7 @@ class RecordingWriter:
             shutil.rmtree(self._work, ignore_errors=True)
 
 
-def _qos(depth: int, latched: bool) -> Any:
+def _qos(depth: int, latched: bool) -> Qos:
     unset = QosTime(0, 0)
     durability = QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE
     return Qos(QosHistory.KEEP_LAST, depth, QosReliability.RELIABLE, durability, unset, unset,

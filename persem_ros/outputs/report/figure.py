@@ -32,8 +32,9 @@ FORMATS = {'.png': (cv2.IMWRITE_PNG_COMPRESSION, 9), '.jpg': (cv2.IMWRITE_JPEG_Q
 class FigureWatcher:
     """Writes a figure, 1600 pixels wide, of a replay (persem_ros.replay.Replay)."""
 
-    def __init__(self, path: str) -> None:
-        self._path, self._strip = Path(path), None
+    def __init__(self, path: Path | str) -> None:
+        self._path = Path(path)
+        self._strip: Strip | None = None
         if self._path.suffix.lower() not in FORMATS:
             raise PersemError(f'--figure {path}: expected a name that ends in '
                               f'{" or ".join(FORMATS)}')
@@ -46,11 +47,12 @@ class FigureWatcher:
 
     def finish(self, replay: Replay, result: dict[str, Any]) -> None:
         """Write the figure."""
+        assert self._strip is not None, 'a replay without a frame is refused before its end'
         picture = figure(best(self._strip.chosen()), replay.config.refine.method, replay.legend,
                          replay.pipeline.memory)
         ending = self._path.suffix.lower()
         if ending == '.png':        # 32 levels a colour look the same and take a third less
-            picture = picture & 0xf8 | 0x04
+            picture = picture & np.uint8(0xf8) | np.uint8(0x04)
         write_bytes(self._path, cv2.imencode(ending, picture[..., ::-1], FORMATS[ending])[1])
 
 
@@ -58,9 +60,9 @@ def best(samples: list[Sample]) -> Sample:
     """Return the Sample with the largest gain; without truth the one that changed most."""
     def gain(sample: Sample) -> float:
         if 'truth' not in sample.images:
-            return np.mean(sample.images['refined'] != sample.images['input'])
-        counts = np.bincount(verdict(sample).ravel(), minlength=3)
-        return (counts[1] - counts[2]) / max(1, np.count_nonzero(sample.valid))
+            return float(np.mean(sample.images['refined'] != sample.images['input']))
+        _, mended, spoilt = np.bincount(verdict(sample).ravel(), minlength=3).tolist()
+        return (mended - spoilt) / max(1, np.count_nonzero(sample.valid))
     return max(samples, key=gain)
 
 

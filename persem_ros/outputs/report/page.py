@@ -17,7 +17,7 @@ from persem_ros.outputs.report.png import data_uri, png
 
 if TYPE_CHECKING:
     from persem_ros.core.memory.frame_table import FrameTable
-    from persem_ros.inputs.recording.recording import Recording
+    from persem_ros.inputs.recording.sessions import Sessions
     from persem_ros.replay import Replay
     from persem_ros.settings.legend import Legend
 
@@ -83,7 +83,7 @@ def render(replay: Replay, result: dict[str, Any], frames: list[dict[str, Any]],
 
 
 @functools.lru_cache(maxsize=1)
-def environment() -> Any:
+def environment() -> jinja2.Environment:
     """Return the templates; everything that they show is escaped."""
     env = jinja2.Environment(
         loader=jinja2.PackageLoader('persem_ros.outputs.report', 'templates'),
@@ -98,7 +98,7 @@ def _asset(name: str) -> str:
     return (resources.files('persem_ros.outputs.report') / 'assets' / name).read_text('utf-8')
 
 
-def _number(value: float, digits: int = 0) -> str:
+def _number(value: float | None, digits: int = 0) -> str:
     """Return a number with thin spaces between thousands, a dash where there is none."""
     return '–' if value is None else f'{value:,.{digits}f}'.replace(',', '\u202f')     # no break
 
@@ -134,7 +134,7 @@ def _verdicts() -> list[dict[str, str | tuple[int, int, int]]]:
             for name, color in zip(colors.VERDICTS, colors.VERDICT_COLORS)]
 
 
-def _topics(recording: Recording) -> list[tuple[str, str, str, str]]:
+def _topics(recording: Sessions) -> list[tuple[str, str, str, str]]:
     """Return (camera, kind, topic name, type) of what was read."""
     return [(camera, kind, info.name, info.msgtype)
             for camera, kinds in recording.topics.items() for kind, info in kinds.items()]

@@ -13,7 +13,8 @@ class FlickerSeries:
     """The counts of flicker after every frame, by method."""
 
     def __init__(self) -> None:
-        self._stamps, self._counts = [], []
+        self._stamps: list[int] = []
+        self._counts: list[dict[str, tuple[int, int]]] = []
 
     def add(self, stamp: int, counts: dict[str, tuple[int, int]]) -> None:
         """Add what was counted up to now: {method: (changed pixels, compared pixels)}."""
@@ -81,7 +82,8 @@ def nice(step: float) -> float:
 
 def _polylines(t: list[float], line: list[float | None], top: float) -> list[str]:
     """Return the stretches of a line without gaps as SVG points."""
-    stretches, points = [], []
+    stretches: list[list[str]] = []
+    points: list[str] = []
     for x, y in zip(t, line):
         if y is None:
             stretches, points = stretches + [points], []

@@ -34,13 +34,13 @@ class Sample:
     stamp : int
         Nanoseconds.
     sensor : str
-    images : dict of str to ndarray, shape (h, w), uint16
+    images : dict of str to ndarray, shape (h, w)
         input, majority, refined and truth, those that there are; 65535: no label.
-    source : ndarray, shape (h, w), uint8
+    source : ndarray, shape (h, w)
         What decided the voxel behind each pixel (cloud.SOURCES).
-    valid : ndarray, shape (h, w), bool
+    valid : ndarray, shape (h, w)
         The pixels that count in the metrics.
-    color : ndarray, shape (h, w, 3), uint8, or None
+    color : ndarray, shape (h, w, 3), optional
         Red, green, blue.
 
     """
@@ -48,10 +48,10 @@ class Sample:
     number: int
     stamp: int
     sensor: str
-    images: dict[Any, Any]
-    source: np.ndarray
-    valid: np.ndarray
-    color: np.ndarray
+    images: dict[str, NDArray[np.uint16]]
+    source: NDArray[np.uint8]
+    valid: NDArray[np.bool_]
+    color: NDArray[np.uint8] | None
 
 
 class Strip:
@@ -64,10 +64,11 @@ class Strip:
 
     def __init__(self, expected: int, frames: int = FRAMES) -> None:
         self.frames = frames
-        self._samples, self._seen = [], 0
+        self._samples: list[Sample] = []
+        self._seen = 0
         self._step = max(1, int(expected) // (2 * frames))
 
-    def offer(self, make: Callable[..., Any]) -> None:
+    def offer(self, make: Callable[[int], Sample]) -> None:
         """Count a frame; keep the Sample that make(number) returns if it is one to be kept."""
         if self._seen % self._step == 0:
             self._samples.append(make(self._seen))
@@ -76,7 +77,7 @@ class Strip:
             self._samples = self._samples[::2]
             self._step *= 2
 
-    def chosen(self) -> list[int | Sample]:
+    def chosen(self) -> list[Sample]:
         """Return at most as many Samples as fit on the page, first and last among them."""
         last = len(self._samples) - 1
         places = np.linspace(0, last, min(self.frames, last + 1)).round().astype(int)
@@ -109,9 +110,9 @@ def sample(number: int, frame: Frame, rendering: Rendering, method: str, fill: s
     def thin(image: NDArray[Any]) -> NDArray[Any]:
         return image[min(step // 2, len(image) - 1)::step, step // 2::step]   # a cloud: one row
 
-    images = {'input': rendering.labels, 'majority': rendering.images.get('majority'),
-              'refined': rendering.images[method], 'truth': rendering.truth}
-    images = {name: _ids(thin(image)) for name, image in images.items() if image is not None}
+    given = {'input': rendering.labels, 'majority': rendering.images.get('majority'),
+             'refined': rendering.images[method], 'truth': rendering.truth}
+    images = {name: _ids(thin(image)) for name, image in given.items() if image is not None}
     for name in ('majority', 'refined'):
         if name in images and fill == 'input':
             images[name] = np.where(images[name] == UNKNOWN, images['input'], images[name])
@@ -119,14 +120,13 @@ def sample(number: int, frame: Frame, rendering: Rendering, method: str, fill: s
     source = np.where(voxels >= 0, sources[voxels] if len(sources) else 0, 0).astype(np.uint8)
     color = frame.color
     if color is not None:
-        color = cv2.resize(color, voxels.shape[::-1], interpolation=cv2.INTER_AREA)
+        color = np.asarray(cv2.resize(color, voxels.shape[::-1], interpolation=cv2.INTER_AREA),
+                           np.uint8)
     return Sample(number, frame.stamp, frame.sensor, images, source, thin(rendering.valid).copy(),
                   color)
 
 
-def panels(
-        sample: Sample, legend: Legend, method: str
-) -> list[dict[str, str | tuple[int, int] | None]]:
+def panels(sample: Sample, legend: Legend, method: str) -> list[dict[str, Any]]:
     """
     Return the panels of a Sample as the page shows them.
 
@@ -138,7 +138,9 @@ def panels(
 
     """
     color = None if sample.color is None else data_uri('image/jpeg', jpeg(sample.color))
-    result = [{'key': 'color', 'title': 'image', 'image': color}] if color else []
+    result: list[dict[str, Any]] = []
+    if color:
+        result.append({'key': 'color', 'title': 'image', 'image': color})
     for key, title in (('input', 'input labels'), ('majority', 'majority'),
                        ('refined', f'refined ({method})'), ('truth', 'truth')):
         if key in sample.images and not (key == 'majority' and method == 'majority'):

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 import shlex
 from typing import Any, TYPE_CHECKING
 
-from persem_ros.settings import config_file
 from persem_ros.settings.config import Config, settings
+from persem_ros.settings.parameter_file import scalar
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -36,7 +36,7 @@ def headlines(result: dict[str, Any], method: str) -> list[dict[str, float | str
             for key, title in zip(MEASURES, ('pixel accuracy', 'mean IoU', 'flicker'))]
 
 
-def methods_table(rows: dict[str, dict[str, dict[str, float] | float | None]]) -> list[Any]:
+def methods_table(rows: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
     """
     Return the table of methods.
 
@@ -61,15 +61,15 @@ def methods_table(rows: dict[str, dict[str, dict[str, float] | float | None]]) -
         for key in MEASURES]} for name, row in rows.items()]
 
 
-def _best(rows: dict[str, dict[str, dict[str, float] | float | None]], key: str) -> float | None:
+def _best(rows: dict[str, dict[str, Any]], key: str) -> float | None:
     """Return the best value of a measure if there is something to compare."""
-    values = [row[key] for row in rows.values() if row[key] is not None]
+    values: list[float] = [row[key] for row in rows.values() if row[key] is not None]
     if len(values) < 2:
         return None
     return (max if BETTER[key] > 0 else min)(values)
 
 
-def _gain(key: str, value: float, base: float) -> float:
+def _gain(key: str, value: float | None, base: float | None) -> float | None:
     return None if value is None or base is None else BETTER[key] * (value - base)
 
 
@@ -91,7 +91,7 @@ def legend_rows(
     ----------
     legend : persem_ros.settings.legend.Legend
         In force.
-    voxels : dict of int to int
+    voxels : dict
         Number of voxels by label.
     shown : collection of int
         Ids that pictures show; the ignored ones among them have a row.
@@ -111,7 +111,7 @@ def legend_rows(
     return rows
 
 
-def _legend_order(legend: Legend) -> Callable[..., Any]:
+def _legend_order(legend: Legend) -> Callable[[int], tuple[int, int]]:
     places = {c: place for place, c in enumerate(legend.ids)}
     return lambda i: (places.get(i, len(places)), i)
 
@@ -119,8 +119,8 @@ def _legend_order(legend: Legend) -> Callable[..., Any]:
 def changed_settings(config: Config) -> list[dict[str, str]]:
     """Return name, value, default, unit and help of the settings that are not at the default."""
     defaults = {name: value for name, value, _ in settings(Config())}
-    return [{'name': name, 'value': config_file.scalar(value), 'unit': meta['unit'],
-             'default': config_file.scalar(defaults[name]) if name in defaults else '',
+    return [{'name': name, 'value': scalar(value), 'unit': meta['unit'],
+             'default': scalar(defaults[name]) if name in defaults else '',
              'help': meta['help']}
             for name, value, meta in settings(config)
             if name not in defaults or value != defaults[name]]
@@ -162,7 +162,11 @@ def memory_rows(timing: dict[str, Any], voxels: int) -> list[dict[str, float | s
 
 def bytes_text(size: int) -> str:
     """Return a number of bytes for people: 41.3 MB."""
-    for unit in ('B', 'kB', 'MB', 'GB'):
-        if size < 1000 or unit == 'GB':
-            return f'{size:.0f} {unit}' if unit == 'B' else f'{size:.1f} {unit}'
-        size /= 1000
+    if size < 1000:
+        return f'{size:.0f} B'
+    shown = size / 1000
+    for unit in ('kB', 'MB'):
+        if shown < 1000:
+            return f'{shown:.1f} {unit}'
+        shown /= 1000
+    return f'{shown:.1f} GB'

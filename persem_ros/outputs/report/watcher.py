@@ -23,7 +23,7 @@ class ReportWatcher:
 
     def __init__(self) -> None:
         self._flicker = FlickerSeries()
-        self._strip = None
+        self._strip: Strip | None = None
 
     def frame(self, replay: Replay, frame: Frame, rendering: Rendering) -> None:
         """Keep the frame's flicker, and of some frames what the page shows of them."""
@@ -35,7 +35,7 @@ class ReportWatcher:
     def finish(self, replay: Replay, result: dict[str, Any]) -> None:
         """Write report.html."""
         method = replay.config.refine.method
-        samples: list[Any] = self._strip.chosen() if self._strip else []
+        samples = self._strip.chosen() if self._strip else []
         with ThreadPoolExecutor(2) as pool:     # zlib and OpenCV let go of the interpreter
             shown = list(pool.map(lambda s: panels(s, replay.legend, method), samples))
         frames = [{'number': s.number, 'seconds': (s.stamp - samples[0].stamp) / 1e9,

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 import functools
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,17 @@ from persem_ros.outputs.results.tally import CODES, codes_of, EVERYWHERE, percen
 TRUTH = 'truth'         # the truth measured against itself: its flicker is the floor
 
 
+Number = TypeVar('Number', np.bool_, np.uint8, np.int32, np.float64)
+
+
+class Before(NamedTuple):
+    """What the frame before left."""
+
+    shape: tuple[int, ...]
+    valid: NDArray[np.bool_]                    # (pixels,)
+    labels: dict[str, NDArray[np.uint16]]       # by method, (pixels,)
+
+
 class Metrics:
     """
     Counts over one sequence, for several methods at once.
@@ -24,42 +36,44 @@ class Metrics:
     ----------
     methods : sequence of str
         Names of the methods, in the order of the result.
-    taxonomy : mapping of int to int, optional
+    taxonomy : mapping, optional
         Many-to-one table that is applied to truth and predictions before counting. A truth id
         outside the table is ignored, a predicted one is wrong.
 
     """
 
-    def __init__(self, methods: list[str], taxonomy: dict[int, int] | None = None) -> None:
+    def __init__(self, methods: Sequence[str],
+                 taxonomy: Mapping[int, int] | None = None) -> None:
         self.methods = tuple(methods)
         self._tallies = {name: Tally() for name in (*self.methods, TRUTH)}
         self._table = _table(taxonomy)
         self._pixels = np.zeros(CODES, np.int64)        # valid ones, by region
-        self._before = {}           # sensor -> (shape, valid, {method: its last labels})
+        self._before: dict[str, Before] = {}            # by sensor
         self._has_truth = self._has_regions = False
 
-    def update(self, valid: NDArray[np.bool_], predictions: dict[str, NDArray[np.int32]],
-               truth: NDArray[np.int32] | None = None, regions: NDArray[np.uint8] | None = None,
+    def update(self, valid: NDArray[np.bool_],
+               predictions: Mapping[str, NDArray[Any]] | Iterable[tuple[str, NDArray[Any]]],
+               truth: NDArray[Any] | None = None, regions: NDArray[np.uint8] | None = None,
                sensor: str | None = '') -> None:
         """
         Count one integrated frame.
 
         Parameters
         ----------
-        valid : ndarray, shape (H, W), bool
+        valid : ndarray, shape (H, W)
             The pixels that count, the same for every method: valid_pixels.
-        predictions : mapping or iterable of (str, ndarray, shape (H, W))
+        predictions : mapping or pairs of str and ndarray, shape (H, W)
             Labels by method, integers; below 0 or above 65534: unknown, which is wrong.
         truth : ndarray, shape (H, W), integers, optional
             True labels; needed where *valid* is true.
-        regions : ndarray, shape (H, W), uint8, optional
+        regions : ndarray, shape (H, W), optional
             Bits of REGIONS of each pixel's voxel, 0 where it has none.
-        sensor : str
-            Flicker compares consecutive frames of one sensor.
+        sensor : str, optional
+            Flicker compares consecutive frames of one sensor; None: of no other frame.
 
         """
         shape = np.shape(valid)
-        valid = np.require(valid, np.bool_, 'CW').reshape(-1)
+        valid = _row(valid, np.bool_)
         classes = np.full(valid.size, UNKNOWN, np.uint16)
         if truth is not None:
             self._has_truth = True
@@ -68,30 +82,30 @@ class Metrics:
             codes = np.zeros(valid.size, np.uint8)
         else:
             self._has_regions = True
-            codes = np.require(regions, np.uint8, 'C').reshape(-1) & (CODES - 1)
+            codes = _row(regions, np.uint8) & np.uint8(CODES - 1)
 
-        if sensor is None:      # no grid, so no pixel that could flicker
-            self._before.pop(sensor, None)
-        last_shape, had, old = self._before.get(sensor, (None, None, {}))
-        if last_shape != shape:     # a size that changes starts the flicker anew
-            had, old = np.zeros(valid.size, np.bool_), {}
+        # None: no grid, so no pixel that could flicker.
+        before = None if sensor is None else self._before.get(sensor)
+        if before is None or before.shape != shape:     # a size that changes starts it anew
+            before = Before(shape, np.zeros(valid.size, np.bool_), {})
         pairs, n_pairs = np.empty_like(valid), np.zeros(CODES, np.int64)
-        count_valid(valid, had, codes, pairs, self._pixels, n_pairs)
-        images = predictions.items() if hasattr(predictions, 'items') else predictions
-        new = {}
+        count_valid(valid, before.valid, codes, pairs, self._pixels, n_pairs)
+        images = predictions.items() if isinstance(predictions, Mapping) else predictions
+        new: dict[str, NDArray[np.uint16]] = {}
         for name, image in (*images, *([] if truth is None else [(TRUTH, truth)])):
             if name not in self._tallies:
                 raise PersemError(f'metrics: unexpected method {name!r}; expected one of '
                                   f'{", ".join(self.methods)}')
             tally = self._tallies[name]
-            if name in old:
-                new[name], compared = old[name], pairs
+            if name in before.labels:
+                new[name], compared = before.labels[name], pairs
                 tally.pairs += n_pairs
             else:                   # truth or method not given for the frame before
                 new[name], compared = np.zeros(valid.size, np.uint16), np.zeros_like(pairs)
             tally.count(_flat(image, shape, name), classes, codes, compared, new[name],
                         self._table)
-        self._before[sensor] = shape, valid, new
+        if sensor is not None:
+            self._before[sensor] = Before(shape, valid, new)
 
     def restart(self) -> None:
         """Begin flicker anew: the next frame does not follow the last one."""
@@ -136,9 +150,9 @@ class Metrics:
 
         Returns
         -------
-        ids : ndarray, shape (k,), int64
+        ids : ndarray, shape (k,)
             All ids of truth or prediction, sorted; 65535 is "unknown".
-        matrix : ndarray, shape (k, k), int64
+        matrix : ndarray, shape (k, k)
             Pixels by true id (row) and predicted id (column).
 
         """
@@ -148,19 +162,19 @@ class Metrics:
         np.add.at(matrix, tuple(places.reshape(2, -1)), counts)
         return ids, matrix
 
-    def _measured(self, region: str, iou: bool) -> dict[str, dict[str, dict[str, float]] | float]:
+    def _measured(self, region: str, iou: bool) -> dict[str, Any]:
         """Return flicker and accuracy of every method within one region."""
         return {'truth_flicker': self._tallies[TRUTH].flicker(region),
                 'methods': {name: self._tallies[name].measured(region, self._has_truth, iou)
                             for name in self.methods}}
 
-    def _share(self, region: str) -> float:
+    def _share(self, region: str) -> float | None:
         """Return the percentage of all valid pixels that lie in the region."""
         return percent(self._pixels[codes_of(region)].sum(), self._pixels.sum())
 
 
 def valid_pixels(
-        labels: NDArray[Any], depth: NDArray[np.float64], ignore_labels: tuple[int, ...],
+        labels: NDArray[Any], depth: NDArray[np.float64], ignore_labels: Sequence[int],
         min_depth: float, max_depth: float, truth: NDArray[Any] | None = None
 ) -> NDArray[np.bool_]:
     """
@@ -170,7 +184,7 @@ def valid_pixels(
     ----------
     labels : ndarray, shape (H, W), integers
         The input labels.
-    depth : ndarray, shape (H, W), float64
+    depth : ndarray, shape (H, W)
         Metres; a measurement in range makes a pixel valid.
     ignore_labels : sequence of int
         Ids that are no labels; those below 0 and above 65534 never are.
@@ -181,11 +195,11 @@ def valid_pixels(
 
     Returns
     -------
-    ndarray, shape (H, W), bool
+    ndarray, shape (H, W)
 
     """
     shape = np.shape(depth)
-    depth = np.require(depth, np.float64, 'CW').reshape(-1)
+    depth = _row(depth, np.float64)
     table = _ignoring(tuple(ignore_labels))
     valid = np.empty(depth.size, np.bool_)
     mask_valid(_flat(labels, shape, 'labels'), depth, table, float(min_depth), float(max_depth),
@@ -204,7 +218,7 @@ def _ignoring(ignore_labels: tuple[int, ...]) -> NDArray[np.uint16]:
     return table
 
 
-def _table(taxonomy: dict[int, int] | None) -> NDArray[np.uint16] | None:
+def _table(taxonomy: Mapping[int, int] | None) -> NDArray[np.uint16]:
     """Return the look-up table id -> counted id, UNKNOWN for none, (65536,) uint16."""
     if taxonomy is None:
         return _ignoring(())
@@ -217,12 +231,17 @@ def _table(taxonomy: dict[int, int] | None) -> NDArray[np.uint16] | None:
     return table
 
 
-def _flat(labels: NDArray[np.int32], shape: tuple[int, int], name: str) -> NDArray[np.int32]:
+def _flat(labels: NDArray[Any], shape: tuple[int, ...], name: str) -> NDArray[np.int32]:
     """Return a label image as (H * W,) int32, or refuse another size."""
     if np.shape(labels) != shape:
         raise PersemError(f'metrics: {name} has shape {np.shape(labels)}, expected {shape} as '
                           'the mask of valid pixels')
-    return np.require(labels, np.int32, 'CW').reshape(-1)
+    return _row(labels, np.int32)
+
+
+def _row(image: NDArray[Any], kind: type[Number]) -> NDArray[Number]:
+    """Return the pixels of an image one after the other, of the type that the kernels want."""
+    return np.require(image, kind, ('C', 'W')).reshape(-1)
 
 
 @kernel

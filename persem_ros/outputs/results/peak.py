@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 import resource
-from typing import Any
 
 CLEAR, STATUS = Path('/proc/self/clear_refs'), Path('/proc/self/status')
 
@@ -25,7 +24,7 @@ class PeakMemory:
             pass
         return self
 
-    def __exit__(self, *_: Any) -> None:
+    def __exit__(self, *_: object) -> None:
         """Leave the mark as it is."""
 
     def bytes(self) -> int:    # noqa: A003 - a unit, not the type

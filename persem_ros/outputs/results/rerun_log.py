@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from persem_ros.errors import PersemError
 from persem_ros.frames import UNKNOWN
 from persem_ros.outputs.files import replacing
+
+if TYPE_CHECKING:
+    from pathlib import Path
+    from types import TracebackType
+
+    from persem_ros.frames import Frame
+    from persem_ros.rendering import Rendering
+    from persem_ros.replay import Replay
 
 EXTRA = "'persem_ros[viewer]'"
 MAP_STEPS = 100     # the map grows in about so many pieces
@@ -33,15 +42,15 @@ class RerunLog:
 
     """
 
-    def __init__(self, path: str) -> None:
+    def __init__(self, path: Path | str) -> None:
         self._rr = _rerun()
         self._path = path
         self._seen = np.zeros(0, np.bool_)      # by voxel number: met since the last piece
         self._logged = np.zeros(0, np.bool_)    # ... and what the file has
         self._frames = 0
-        self._columns = None
+        self._columns: dict[str, NDArray[Any]] | None = None     # of the map
 
-    def __enter__(self) -> Any:
+    def __enter__(self) -> RerunLog:
         """Open the file."""
         with ExitStack() as stack:
             work = stack.enter_context(replacing(self._path))
@@ -51,11 +60,13 @@ class RerunLog:
             self._close = stack.pop_all()
         return self
 
-    def __exit__(self, *error: Any) -> Any:
+    def __exit__(
+            self, kind: type[BaseException] | None, value: BaseException | None,
+            traceback: TracebackType | None) -> None:
         """Put the file under its name, or remove what there is of it."""
-        return self._close.__exit__(*error)
+        self._close.__exit__(kind, value, traceback)
 
-    def frame(self, replay: Any, frame: Any, rendering: Any) -> None:
+    def frame(self, replay: Replay, frame: Frame, rendering: Rendering) -> None:
         """Log a frame's camera and images, and now and then what was met of the map."""
         rr, out = self._rr, self._out
         if self._frames == 0:
@@ -79,7 +90,7 @@ class RerunLog:
         if self._frames % max(1, replay.recording.expected // MAP_STEPS) == 0:
             self._grow(replay, self._seen & ~self._logged)
 
-    def finish(self, replay: Any, result: Any) -> None:
+    def finish(self, replay: Replay, result: dict[str, Any]) -> None:
         """Log the rest of the map; where it changed on the way (--causal), all of it anew."""
         memory = replay.pipeline.memory
         self._meet(np.zeros(0, np.int32), memory.n_voxels)
@@ -90,11 +101,11 @@ class RerunLog:
         self._grow(replay, ~self._logged)
         self._names(replay)
 
-    def _at(self, frame: Any) -> None:
+    def _at(self, frame: Frame) -> None:
         self._out.set_time('stamp', timestamp=np.datetime64(frame.stamp, 'ns'))
         self._out.set_time('frame', sequence=self._frames)
 
-    def _camera(self, replay: Any, frame: Any) -> None:
+    def _camera(self, replay: Replay, frame: Frame) -> None:
         """Log where the camera is and what it sees, in the voxels' frame."""
         rr, path = self._rr, _camera_path(frame)
         T = frame.T_map_camera
@@ -105,7 +116,7 @@ class RerunLog:
             height=frame.camera.height,
             image_plane_distance=20 * replay.pipeline.memory.voxel_size))
 
-    def _names(self, replay: Any) -> None:
+    def _names(self, replay: Replay) -> None:
         """Log the names and colours of the classes: those of the legend and those that occur."""
         rr, legend = self._rr, replay.legend
         ids = sorted({*legend.ids, *np.flatnonzero(replay.pipeline.memory.seen_ids).tolist()})
@@ -115,27 +126,28 @@ class RerunLog:
                       static=True)
         self._out.log('world', rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
 
-    def _meet(self, voxels: Any, n: Any) -> None:
+    def _meet(self, voxels: NDArray[np.int32], n: int) -> None:
         """Note which voxels, by number, a frame met; there are *n* by now."""
         room = np.zeros(n - len(self._seen), np.bool_)
         self._seen = np.concatenate([self._seen, room])
         self._logged = np.concatenate([self._logged, room])
         self._seen[voxels[voxels >= 0]] = True
 
-    def _grow(self, replay: Any, new: Any) -> None:
+    def _grow(self, replay: Replay, new: NDArray[np.bool_]) -> None:
         """Log the voxels for which *new*, by number, is true, as one more piece of the map."""
         memory = replay.pipeline.memory
         if self._columns is None or replay.causal:
             self._columns = memory.voxels()
-        rows = np.flatnonzero(new[self._columns['number']])
+        columns = self._columns
+        rows = np.flatnonzero(new[columns['number']])
         if len(rows):
-            label = self._columns['label'][rows]
+            label = columns['label'][rows]
             self._out.log(f'world/map/{self._frames:06d}', self._rr.Points3D(
-                (self._columns['voxel'][rows] + 0.5) * memory.voxel_size, class_ids=label,
+                (columns['voxel'][rows] + 0.5) * memory.voxel_size, class_ids=label,
                 colors=replay.legend.colors(label), radii=0.5 * memory.voxel_size))
         self._logged |= new
 
-    def _blueprint(self, frame: Any) -> Any:
+    def _blueprint(self, frame: Frame) -> Any:
         """Return the arrangement of views: the map beside the first camera's images."""
         views, camera = self._rr.blueprint, '/' + _camera_path(frame)
         images = [views.Spatial2DView(origin=camera, name=name, contents=[f'{camera}/{name}'])
@@ -147,14 +159,14 @@ class RerunLog:
             views.Vertical(*images), column_shares=[3, 1]))
 
 
-def _camera_path(frame: Any) -> Any:
+def _camera_path(frame: Frame) -> str:
     """Return the entity of a frame's camera; Rerun escapes what it does not like."""
     name = ''.join(c if c.isalnum() else '_' for c in frame.sensor)
     return f'world/camera_{name}' if name else 'world/camera'
 
 
 def _rerun() -> Any:
-    """Return the module rerun, or refuse with what to type."""
+    """Return the module rerun, or refuse with what to type; Any: it need not be installed."""
     try:
         import rerun
         import rerun.blueprint

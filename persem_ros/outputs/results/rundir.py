@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, ExitStack, suppress
 import fcntl
 from importlib import metadata
@@ -13,15 +13,12 @@ import platform
 import shutil
 import subprocess
 import time
-from typing import Any, TYPE_CHECKING
+from typing import Any, TypeVar
 
 from persem_ros import __version__
 from persem_ros.errors import PersemError
 from persem_ros.outputs.recording.target import check_target
 from persem_ros.outputs.results.peak import PeakMemory
-
-if TYPE_CHECKING:
-    from persem_ros.frames import Frame
 
 FILES = ('map.ply', 'map.persem', 'refined', 'metrics.json', 'config.yaml', 'timing.json',
          'report.html')
@@ -29,9 +26,12 @@ REFINED = 'refined'         # of them a folder, a recording
 WORK = '.persem-run.'       # + process id + '.partial': what is being built
 OLD, DONE = 'replaced', 'done'      # in it: the old files, while they are swapped and after
 
+Item = TypeVar('Item')
+
 
 @contextmanager
-def building(path: Any, force: Any = False, keep: Any = ()) -> Iterator[Any]:
+def building(path: Path | str, force: bool = False,
+             keep: Iterable[Path | str] = ()) -> Iterator[Path]:
     """
     Give a folder to build a run in; its files take their place in *path* when the block ends well.
 
@@ -91,7 +91,8 @@ def building(path: Any, force: Any = False, keep: Any = ()) -> Iterator[Any]:
             raise PersemError(f'cannot write to {path}: {error.strerror or error}') from error
 
 
-def check_extra(path: Any, option: Any, force: Any, keep: Any = ()) -> None:
+def check_extra(path: Path | str, option: str, force: bool,
+                keep: Iterable[Path | str] = ()) -> None:
     """
     Refuse a file that an option names besides the run's folder.
 
@@ -119,7 +120,7 @@ def check_extra(path: Any, option: Any, force: Any, keep: Any = ()) -> None:
                           'replace it')
 
 
-def check_inputs(path: Any, keep: Any) -> None:
+def check_inputs(path: Path, keep: Iterable[Path | str]) -> None:
     """Refuse a folder that is an input, lies in one, or holds one among the files of a run."""
     target = path.resolve()
     for name in filter(None, map(str, keep)):
@@ -132,7 +133,7 @@ def check_inputs(path: Any, keep: Any) -> None:
                               'another folder with --out')
 
 
-def _check_names(path: Any) -> None:
+def _check_names(path: Path) -> None:
     """Refuse a folder in which somebody else's folder has the name of a file of a run."""
     for name in FILES:
         entry = path / name
@@ -144,7 +145,7 @@ def _check_names(path: Any) -> None:
 
 
 @contextmanager
-def locked(path: Any) -> Iterator[Any]:
+def locked(path: Path) -> Iterator[Path]:
     """Give a folder, held for this process; the system lets go of it however that ends."""
     handle = os.open(path, os.O_RDONLY)
     try:
@@ -160,12 +161,12 @@ def locked(path: Any) -> Iterator[Any]:
         os.close(handle)
 
 
-def _swap(path: Any, work: Any) -> None:
+def _swap(path: Path, work: Path) -> None:
     """Put new files in the place of old ones: two renames each, all undone if one fails."""
     _check_names(path)
     old = work / OLD
     old.mkdir()
-    moved = []
+    moved: list[tuple[Path, Path]] = []
     try:
         for name in FILES:
             if os.path.lexists(path / name):
@@ -182,7 +183,7 @@ def _swap(path: Any, work: Any) -> None:
         raise
 
 
-def _recover(path: Any) -> None:
+def _recover(path: Path) -> None:
     """Put back and remove what a run left that was killed."""
     for left in path.glob(f'{WORK}*.partial'):
         pid = left.name[len(WORK):].partition('.')[0]
@@ -196,19 +197,19 @@ def _recover(path: Any) -> None:
         shutil.rmtree(left, ignore_errors=True)
 
 
-def _remove_empty(folders: Any) -> None:
+def _remove_empty(folders: Iterable[Path]) -> None:
     """Remove folders that were made, deepest first, as far as nothing came into them."""
     for folder in folders:
         with suppress(OSError):
             folder.rmdir()
 
 
-def _first(folder: Any, path: Any) -> Any:
+def _first(folder: Path, path: Path | str) -> str:
     """Return the name in *folder* under which *path*, somewhere below it, lies."""
     return Path(path).resolve().relative_to(Path(folder).resolve()).parts[0]
 
 
-def _is_ours(name: Any) -> Any:
+def _is_ours(name: str) -> bool:
     """Whether *name* is a file or folder that a run leaves."""
     return name in FILES
 
@@ -217,12 +218,12 @@ class Stopwatch:
     """Seconds by stage, added up; stages may run on several threads, so they can overlap."""
 
     def __init__(self) -> None:
-        self.seconds = defaultdict(float)
-        self.calls = defaultdict(int)
+        self.seconds: defaultdict[str, float] = defaultdict(float)
+        self.calls: defaultdict[str, int] = defaultdict(int)
         self._start = time.perf_counter()
 
     @contextmanager
-    def __call__(self, stage: str) -> Iterator[Any]:
+    def __call__(self, stage: str) -> Iterator[None]:
         """Time the block as a part of *stage*."""
         begin = time.perf_counter()
         try:
@@ -231,13 +232,13 @@ class Stopwatch:
             self.seconds[stage] += time.perf_counter() - begin
             self.calls[stage] += 1
 
-    def iterate(self, stage: str, items: Iterator[Any]) -> Iterator[Frame]:
+    def iterate(self, stage: str, items: Iterable[Item]) -> Iterator[Item]:
         """Yield *items*; the time to get each counts as *stage*."""
-        items = iter(items)
+        left = iter(items)
         while True:
             with self(stage):
                 try:
-                    item = next(items)
+                    item = next(left)
                 except StopIteration:
                     return
             yield item
@@ -271,9 +272,10 @@ def timing(watch: Stopwatch, frames: int, sizes: dict[str, int]) -> dict[str, An
             'versions': versions(), 'hardware': hardware()}
 
 
-def versions() -> dict[str, str]:
+def versions() -> dict[str, str | None]:
     """Return {package: version} of what computes the results, with our commit where known."""
-    result = {'persem_ros': __version__, 'commit': commit(), 'python': platform.python_version()}
+    result: dict[str, str | None] = {'persem_ros': __version__, 'commit': commit(),
+                                     'python': platform.python_version()}
     for name in ('numpy', 'numba', 'rosbags', 'opencv-python-headless'):
         try:
             result[name] = metadata.version(name)

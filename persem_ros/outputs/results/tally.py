@@ -24,8 +24,8 @@ class Tally:
         self.pairs, self.changed = np.zeros((2, CODES), np.int64)
         self.used = np.zeros(1, np.int64)
 
-    def count(self, *arrays: Any) -> None:
-        """Count one image; the table grows with the number of distinct pairs of ids."""
+    def count(self, *arrays: NDArray[Any]) -> None:
+        """Count one image, as for count_image(); the table grows with the pairs of ids."""
         done = 0
         while True:
             done = count_image(done, *arrays, self.keys, self.counts, self.used, self.changed)
@@ -44,16 +44,16 @@ class Tally:
         keys, counts = self.keys[order][counts > 0].astype(np.int64), counts[counts > 0]
         return keys >> 16, keys & UNKNOWN, counts
 
-    def flicker(self, region: str) -> float:
+    def flicker(self, region: str) -> float | None:
         """Return the percentage of changed pixels in consecutive frames, or None."""
         codes = codes_of(region)
         return percent(self.changed[codes].sum(), self.pairs[codes].sum())
 
-    def measured(
-            self, region: str, has_truth: bool, iou: bool) -> dict[str, dict[str, float] | float]:
+    def measured(self, region: str, has_truth: bool, iou: bool) -> dict[str, Any]:
         """Return {pixel_accuracy, miou, flicker[, iou]} in percent, None where unknown."""
-        result = {'pixel_accuracy': None, 'miou': None, 'flicker': self.flicker(region)}
-        by_class = {}
+        result: dict[str, Any] = {
+            'pixel_accuracy': None, 'miou': None, 'flicker': self.flicker(region)}
+        by_class: dict[int, float] = {}
         if has_truth:
             true, predicted, counts = self.triples(region)
             by_class = iou_by_class(true, predicted, counts)
@@ -72,9 +72,9 @@ def iou_by_class(
 
     Parameters
     ----------
-    true, predicted : ndarray, shape (n,), int64
+    true, predicted : ndarray, shape (n,)
         Ids of each pair that was counted.
-    counts : ndarray, shape (n,), int64
+    counts : ndarray, shape (n,)
         Pixels of that pair.
 
     """
@@ -83,11 +83,11 @@ def iou_by_class(
     np.add.at(in_prediction, predicted, counts)
     same = true == predicted
     np.add.at(hit, true[same], counts[same])
-    return {int(c): percent(hit[c], in_truth[c] + in_prediction[c] - hit[c])
+    return {int(c): 100.0 * float(hit[c]) / float(in_truth[c] + in_prediction[c] - hit[c])
             for c in np.flatnonzero(in_truth)}
 
 
-def percent(part: int, whole: int) -> float:
+def percent(part: int, whole: int) -> float | None:
     """Return 100 part / whole, or None for a part of nothing."""
     return 100.0 * float(part) / float(whole) if whole else None
 
