@@ -85,9 +85,9 @@ def integration(big):
     Integrate one frame: ours, Open3D's, OctoMap's.
 
     Adding by two threads, each every second stripe of blocks, was tried and left: the links and
-    voxels that are missing have to be counted before, so that the blocks are read twice, and one
-    thread takes 5.8 ms for both halves against 4.0 ms for adding in one go (24 frames, a busy
-    machine with 2 cores; the maps were the same to the byte).
+    voxels that are missing have to be counted before, so that the blocks are read twice: 5.8 to
+    6.7 ms against 4.0 to 4.4 ms for adding in one go by one thread (24 frames, a busy machine
+    with 2 cores, so a gain on a quiet one is not ruled out; the maps were the same to the byte).
 
     """
     ours = median_ms(big.seconds[5:])
