@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 import queue
 import threading
 from types import TracebackType
@@ -12,7 +12,7 @@ Item = TypeVar('Item')
 END = object()
 
 
-def read_ahead(items: Iterable[Item], depth: int = 2) -> Iterator[Item]:
+def read_ahead(items: Iterable[Item], depth: int = 2) -> Generator[Item, None, None]:
     """
     Yield *items*, up to *depth* of which are made in advance by a thread.
 
