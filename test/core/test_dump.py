@@ -68,6 +68,14 @@ def test_stopped_and_continued_equals_never_stopped(frames, settings, method, bo
     assert content(stopped) == content(straight)
 
 
+def test_a_class_that_only_evidence_remembers_is_not_new_after_loading():
+    memory = core_of([(1, {(0, 0, 0): (8, 1.0)}, []), (2, {(0, 0, 0): (5, 1.0)}, [])], 1)
+    again = load(dump(memory))
+    assert again.history((0, 0, 0))[0].tolist() == [5]
+    assert again.voted_ids.nonzero()[0].tolist() == [5, 8]
+    assert again.voted_ids.tobytes() == memory.voted_ids.tobytes()
+
+
 def test_a_dump_is_a_copy():
     memory = core_of([(1, {(0, 0, 0): (3, 1.0)}, ())])
     saved = dump(memory)

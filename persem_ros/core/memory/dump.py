@@ -144,6 +144,7 @@ def take_over(memory: VoxelMemory, saved: MemoryDump) -> None:
     memory.rho = None if saved.rho is None else saved.rho.copy()
     memory.habits, memory.fitted_by = saved.habits, saved.fitted_by
     memory.voted_ids[saved.history_label] = 1
+    memory.voted_ids[saved.evidence_class] = 1      # of observations that were let go, too
     for name, ids in (('known', memory.known_ids), ('voted', memory.voted_ids)):
         ids[saved.habits.get(name, [])] = 1
     memory.resume(saved.frames, saved.session)
