@@ -9,7 +9,6 @@ from harness import Player, until
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo, Image
-from test_parameters import param
 
 FRAMES = 10
 ROUNDS = 2500       # times four topics
@@ -86,7 +85,6 @@ def test_ten_thousand_broken_messages(ros, tmp_path):
     assert mapper.call('reset')[0]
     before = int(mapper.values()['frames'])
     time.sleep(0.5)                         # longer than sync.max_wait: nothing of it waits
-    assert 'successful' in param(ros, 'set', 'sync.max_wait', '20.0')   # a busy machine is slow
     player = Player(ros.client, bags.write(tmp_path / 'bag', FRAMES))
     player.play()
     mapper.frames(before + FRAMES - 1)
