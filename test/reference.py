@@ -507,8 +507,16 @@ def seen_through(depth, K, T, voxel, voxel_size, origin=(0.0, 0.0, 0.0), min_dep
         The pinhole matrix.
     T : nested sequence, (4, 4)
         T_map_camera.
-    margin : float
-        Voxels.
+    voxel : tuple of int
+        Its index.
+    voxel_size, origin
+        Metres.
+    min_depth, far
+        Metres along the optical axis, between which a voxel is looked at.
+    margin
+        Voxels by which the measured depth has to lie behind it.
+    slope
+        The same, as a share of the depth.
 
     """
     h, w = len(depth), len(depth[0])
