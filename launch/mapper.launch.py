@@ -63,7 +63,8 @@ def generate_launch_description():
     begin = once_ready(players)
     playing = RegisterEventHandler(OnProcessIO(target_action=mapper, on_stdout=begin,
                                                on_stderr=begin))
-    return LaunchDescription([*arguments, playing, mapper, rviz])
+    # RViz first: where it is not installed the launch ends there, and would leave a mapper behind.
+    return LaunchDescription([*arguments, rviz, playing, mapper])
 
 
 def once_ready(actions):

@@ -11,7 +11,8 @@ class PersemError(Exception):
 
 
 PACKAGES = {'cv2': 'opencv-python-headless', 'yaml': 'pyyaml'}      # where pip's name is another
-NEEDED = '"numpy<2" numba rosbags opencv-python-headless lz4 pyyaml tqdm jinja2'
+NEEDED = ('"numpy<2" numba rosbags opencv-python-headless lz4 pyyaml tqdm jinja2 trimesh '
+          'embreex')
 
 
 def missing(error: ImportError) -> str:

@@ -1,10 +1,13 @@
 """The launch file: the node with its topics, and a recording that it plays."""
 
+from pathlib import Path
 import subprocess
+import time
 
 import bags
 from harness import ended, until
 from persem_ros.outputs.map import store
+import pytest
 
 FRAMES = 10
 
@@ -22,6 +25,25 @@ def test_launch_file_maps_a_recording(ros, tmp_path):
         response = ros.client.call('/robot/mapper/save_map')
         assert response.success, response.message
     assert len(store.load(saved).saved.cell) > 100
+
+
+def test_without_rviz_no_node_is_left_behind(workspace):
+    if not subprocess.run(['ros2', 'pkg', 'prefix', 'rviz2'], env=workspace,
+                          capture_output=True, timeout=60).returncode:
+        pytest.skip('RViz is installed here')
+    done = subprocess.run(['ros2', 'launch', 'persem_ros', 'mapper.launch.py', 'rviz:=true',
+                           'namespace:=orphan'], env=workspace, capture_output=True, text=True,
+                          timeout=120)
+    assert done.returncode and "package 'rviz2' not found" in done.stdout + done.stderr
+    time.sleep(1.0)
+    assert not any(b'__ns:=/orphan' in words for words in map(_words, Path('/proc').iterdir()))
+
+
+def _words(process):
+    try:
+        return (process / 'cmdline').read_bytes()
+    except OSError:
+        return b''
 
 
 def test_its_arguments_are_explained(workspace):
