@@ -226,8 +226,7 @@ class Trial:
             exercise(path, self.folder / 'again.persem')
             return
         memory = store.load(path).memory()
-        columns = memory.voxels()
-        assert len(columns['voxel']) == memory.n_voxels
+        assert len(memory.voxels()['voxel']) == memory.n_voxels - memory.n_gone
         refine(memory, Refine())
         assert set(memory.voxels()['label'].tolist()) <= set(memory.seen_ids.nonzero()[0].tolist())
 
