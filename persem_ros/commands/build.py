@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, TYPE_CHECKING
 
-from persem_ros.commands.options import add_settings
+from persem_ros.commands.options import add_settings, add_workers
 
 if TYPE_CHECKING:
     from argparse import _SubParsersAction, Namespace
@@ -27,11 +27,7 @@ def add_parser(subparsers: _SubParsersAction[Any]) -> None:
     parser.add_argument('--tile', metavar='M', type=float, default=64.0,
                         help='metres along the edge of a tile (default: 64), rounded up to whole '
                              'blocks of 8 voxels')
-    parser.add_argument('--workers', metavar='N', type=int, default=0,
-                        help='processes side by side (default: one per core)')
-    parser.add_argument('--scheduler', metavar='ADDRESS', default='',
-                        help='let a dask cluster do the work, for example tls://host:8786; '
-                             "needs pip install 'persem_ros[cluster]'")
+    add_workers(parser)
     parser.add_argument('--force', action='store_true',
                         help='give up what another build left in DIR')
     add_settings(parser)
@@ -42,15 +38,13 @@ def run(args: Namespace) -> None:
     """Build the map; print what it came to."""
     from pathlib import Path
 
+    from persem_ros.commands import frames_text
     from persem_ros.mosaic.run import build
     from persem_ros.settings import config_file
     config = config_file.from_args(args.config, args.set_items)
     result = build(args.bags, args.out, config, args.tile, args.workers, args.scheduler,
                    args.force)
-    frames, dropped = result['frames']['used'], sum(result['frames']['dropped'].values())
-    print(f'{frames} frames used, {dropped} dropped; {result["sessions"]} sessions, '
-          f'{result["tiles"]} tiles, {result["voxels"]} voxels, {result["observations"]} '
-          'observations')
-    for reason, n in sorted(result['frames']['dropped'].items()):
-        print(f'  {n} dropped: {reason}')
+    print('\n'.join(frames_text.lines(
+        result['frames'], f'{result["sessions"]} sessions, {result["tiles"]} tiles, '
+                          f'{result["voxels"]} voxels, {result["observations"]} observations')))
     print(f'the map is {Path(args.out) / "map.persem"}')

@@ -24,20 +24,11 @@ def add_parser(actions: _SubParsersAction[Any]) -> None:
 
 def run(args: Namespace) -> None:
     """Make the map without the session, write it, say what is left."""
-    from contextlib import closing
-
-    from persem_ros.core.refine.job import refine
-    from persem_ros.outputs.map import store
-    from persem_ros.outputs.map.lock import WriterLock
     from persem_ros.outputs.map.merge import without
-    stored = store.load(args.file)
-    with closing(WriterLock(stored.path)):
-        store.fold_log(stored.path, locked=True)
-        stored = store.load(args.file)
+    from persem_ros.outputs.map.rewrite import held, put_back
+    with held(args.file) as stored:
         memory = without(stored, args.session)
-        config = stored.config()
-        refine(memory, config.refine)
-        store.save(stored.path, memory, config, stored.legend)
+        put_back(stored, memory)
     print(f'{args.file}: session {args.session} is forgotten; {memory.n_voxels} voxels, '
           f'{memory.n_observations} observations of {len(memory.frames.sessions)} '
           f'session{"s" if len(memory.frames.sessions) > 1 else ""} are left')

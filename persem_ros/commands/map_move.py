@@ -29,26 +29,18 @@ def add_parser(actions: _SubParsersAction[Any]) -> None:
 
 def run(args: Namespace) -> None:
     """Move the session, refine, write; say how far it went."""
-    from contextlib import closing
-
     import numpy as np
     from persem_ros.core.memory.dump import load
-    from persem_ros.core.refine.job import refine
     from persem_ros.inputs.recording.corrected import load as load_trajectory
     from persem_ros.outputs.map import store
-    from persem_ros.outputs.map.lock import WriterLock
     from persem_ros.outputs.map.move import move_session, session_of
-    known = store.head(args.file).stored
-    trajectory = load_trajectory(args.trajectory, known.map_frame)
-    with closing(WriterLock(known.path)):
-        store.fold_log(known.path, locked=True)
-        stored = store.load(args.file)
+    from persem_ros.outputs.map.rewrite import held, put_back
+    trajectory = load_trajectory(args.trajectory, store.head(args.file).stored.map_frame)
+    with held(args.file) as stored:
         before = stored.saved
         session = session_of(stored, trajectory, args.session)
         after = move_session(stored, session, trajectory)
-        memory, config = load(after), stored.config()
-        refine(memory, config.refine)
-        store.save(stored.path, memory, config, stored.legend)
+        put_back(stored, load(after))
     own = after.frames.session == session
     went = own & (after.frames.placed != before.frames.placed).any(axis=(1, 2))
     far = np.linalg.norm(after.frames.placed[:, :3, 3] - before.frames.placed[:, :3, 3], axis=1)

@@ -23,27 +23,18 @@ def add_parser(actions: _SubParsersAction[Any]) -> None:
 
 def run(args: Namespace) -> None:
     """Restore the voxels, write the map, say how many."""
-    from contextlib import closing
     from dataclasses import replace
 
     import numpy as np
     from persem_ros.core.memory.dump import load
-    from persem_ros.core.refine.job import refine
-    from persem_ros.outputs.map import store
-    from persem_ros.outputs.map.lock import WriterLock
-    stored = store.load(args.file)
-    with closing(WriterLock(stored.path)):
-        store.fold_log(stored.path, locked=True)
-        stored = store.load(args.file)
+    from persem_ros.outputs.map.rewrite import held, put_back
+    with held(args.file) as stored:
         saved = stored.saved
         gone = int(np.count_nonzero(saved.gone))
         if gone or saved.passed.any():
-            memory = load(replace(saved, gone=np.zeros_like(saved.gone),
-                                  passed=np.zeros_like(saved.passed),
-                                  passed_at=np.zeros_like(saved.passed_at)))
-            config = stored.config()
-            refine(memory, config.refine)
-            store.save(stored.path, memory, config, stored.legend)
+            put_back(stored, load(replace(saved, gone=np.zeros_like(saved.gone),
+                                          passed=np.zeros_like(saved.passed),
+                                          passed_at=np.zeros_like(saved.passed_at))))
     print(f'{args.file}: {gone} voxels are back' if gone else
           f'{args.file}: no voxel was gone; the file stays as it is' if not saved.passed.any() else
           f'{args.file}: no voxel was gone; looks through voxels are counted anew')

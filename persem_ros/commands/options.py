@@ -48,15 +48,21 @@ def add_evaluation(parser: ArgumentParser) -> None:
     parser.add_argument('--predictions', metavar='DIR', default='',
                         help='label images that take the place of the recorded ones, named by '
                              'their stamps; with several recordings one folder each below DIR')
-    parser.add_argument('--workers', metavar='N', type=int, default=0,
-                        help='processes side by side (default: one per core)')
-    parser.add_argument('--scheduler', metavar='ADDRESS', default='',
-                        help='let a dask cluster do the work, for example tls://host:8786')
+    add_workers(parser)
     add_excerpt(parser)
     parser.add_argument('--force', action='store_true',
                         help='give up results of other settings in DIR')
     parser.add_argument('--no-figures', action='store_true', help='tables only')
     add_settings(parser)
+
+
+def add_workers(parser: ArgumentParser) -> None:
+    """Give an argparse parser the options --workers and --scheduler, for persem_ros.workers."""
+    parser.add_argument('--workers', metavar='N', type=int, default=0,
+                        help='processes side by side (default: one per core)')
+    parser.add_argument('--scheduler', metavar='ADDRESS', default='',
+                        help='let a dask cluster do the work, for example tls://host:8786; '
+                             "needs pip install 'persem_ros[cluster]'")
 
 
 def methods_of(text: str) -> tuple[str, ...]:

@@ -120,16 +120,9 @@ def summary(result: dict[str, Any], without_truth: str = '',
         A sentence for each reason why something was dropped.
 
     """
-    from persem_ros.inputs.sync.pairing import UNUSED
-    frames = result['frames']
-    dropped = {reason: n for reason, n in frames['dropped'].items() if reason != UNUSED}
-    lines = [f'{frames["used"]} frames used, {sum(dropped.values())} dropped; {result["voxels"]} '
-             f'voxels, {result["observations"]} observations']
-    if unused := frames['dropped'].get(UNUSED):
-        lines.append(f'  {unused} depth images came without labels, which is no loss')
-    for reason, n in sorted(dropped.items()):
-        why = (reasons or {}).get(reason, '')
-        lines.append(f'  {n} dropped: {reason}' + (f'; {why}' if why and why != reason else ''))
+    from persem_ros.commands import frames_text
+    lines = frames_text.lines(result['frames'], f'{result["voxels"]} voxels, '
+                              f'{result["observations"]} observations', reasons)
     lines += ['', f'{"method":<16}{"PA %":>8}{"mIoU %":>8}{"flicker %":>11}']
     for name, row in result['methods'].items():
         lines.append(f'{name:<16}{_cell(row["pixel_accuracy"], 8)}{_cell(row["miou"], 8)}'

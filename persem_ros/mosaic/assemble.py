@@ -16,8 +16,8 @@ from persem_ros.core.memory.capture import dump
 from persem_ros.core.memory.frame_table import FrameTable
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.guard.database import checked, held_by
+from persem_ros.mosaic.join import Part
 from persem_ros.mosaic.plan import Plan, Tile
-from persem_ros.mosaic.tiles import Part
 from persem_ros.outputs.map import store
 from persem_ros.outputs.map.rows import frame_rows, whole_rows
 from persem_ros.outputs.map.tables import KINDS, ORDER
@@ -86,7 +86,7 @@ def assemble(path: Path, plan: Plan, parts: Sequence[Part], tiles: dict[Tile, Pa
     tiles : dict of Tile to Path
         Refined.
     counts : sequence of dict
-        What tiles.join() gave for each tile.
+        What join.join() gave for each tile.
     seen : ndarray, shape (65536,), uint8
         The ids that were seen.
 

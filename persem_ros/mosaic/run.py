@@ -16,10 +16,10 @@ from persem_ros.core.warmup import warm_up
 from persem_ros.errors import PersemError
 from persem_ros.inputs.recording.finding import split
 from persem_ros.mosaic import assemble, folder as folders
-from persem_ros.mosaic.label import refine, Refining
+from persem_ros.mosaic.join import join, Joining, Part
 from persem_ros.mosaic.observe import observe, Observing
 from persem_ros.mosaic.plan import Plan, planned, Tile
-from persem_ros.mosaic.tiles import join, Joining, Part
+from persem_ros.mosaic.refine import refine, Refining
 from persem_ros.outputs.files import write_json, write_text
 from persem_ros.outputs.results import rundir
 from persem_ros.settings import config_file

@@ -17,8 +17,8 @@ from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine import snapshot
 from persem_ros.core.refine.job import finish, Job, number_of_ids
 from persem_ros.core.warmup import warm_up
+from persem_ros.mosaic.blocks import side_by_side
 from persem_ros.mosaic.folder import load_array
-from persem_ros.mosaic.join import side_by_side
 from persem_ros.mosaic.plan import Tile
 from persem_ros.outputs.map import store
 from persem_ros.settings.config import Config, Refine

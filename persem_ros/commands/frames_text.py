@@ -1,0 +1,32 @@
+"""What became of the frames of recordings, as lines for people."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+
+def lines(frames: Mapping[str, Any], rest: str,
+          reasons: Mapping[str, str] | None = None) -> list[str]:
+    """
+    Return how many frames were used, and why others were dropped.
+
+    Parameters
+    ----------
+    frames
+        'used', a number, and 'dropped', numbers by reason.
+    rest
+        What else the first line says.
+    reasons
+        A sentence for each reason why something was dropped.
+
+    """
+    from persem_ros.inputs.sync.pairing import UNUSED
+    dropped = {reason: n for reason, n in frames['dropped'].items() if reason != UNUSED}
+    found = [f'{frames["used"]} frames used, {sum(dropped.values())} dropped; {rest}']
+    if unused := frames['dropped'].get(UNUSED):
+        found.append(f'  {unused} depth images came without labels, which is no loss')
+    for reason, n in sorted(dropped.items()):
+        why = (reasons or {}).get(reason, '')
+        found.append(f'  {n} dropped: {reason}' + (f'; {why}' if why and why != reason else ''))
+    return found
