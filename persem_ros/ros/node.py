@@ -88,7 +88,7 @@ class Mapper(Node):     # type: ignore[misc]
                   for name in cameras}
         self.inputs = Inputs(self, config, self.intake, self.inbox)
         self.worker.connect(self.inbox, self.intake, images, self.maps, self.inputs.all,
-                            FirstLook(self.inputs.stations, decode, lambda: self.legend))
+                            FirstLook(self.inputs.stations, Decoder(), lambda: self.legend))
         self.triggers = Services(self, self.worker, self.map_file)
         self._clicked = ClickedPoint(self)
         self._grid = GridOutputs(self)

@@ -172,6 +172,7 @@ class Worker(threading.Thread):
         self.refiner.close()
         self.checkpoints.close()
         self.mover.close()
+        self.first_look.close()
         self.map.close()
 
     def run(self) -> None:
@@ -282,6 +283,7 @@ class Worker(threading.Thread):
         now = time.monotonic_ns() if item is None else item.arrival
         if item is not None:
             self._take(item)
+        self.first_look.step(self.config, self.inputs)
         for frame in self.intake.leaving(now):
             self._frame(frame, now)
         if self.intake.behind:
@@ -339,9 +341,7 @@ class Worker(threading.Thread):
             self.map.publish_legend()
         elif item.input.role == TF and self._watch_jumps:
             self._look_for_jumps(item)
-        if not self.first_look.done:
-            self.first_look.take(item)
-            self.first_look.look(self.config, self.inputs)
+        self.first_look.take(item)
 
     def _frame(self, frame: Frame, now: int) -> None:
         """Integrate one frame, publish what is wanted of it."""

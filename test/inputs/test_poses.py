@@ -254,3 +254,20 @@ def test_a_pose_comes_with_the_mount_of_the_camera():
     assert found.mount[:3, 3].tolist() == [0.2, 0.0, -0.1]
     placed = turn(10, 1.0) @ found.mount
     np.testing.assert_allclose(found.T, placed, atol=1e-9)
+
+
+@pytest.mark.parametrize('source', ['topic', 'tf'])
+def test_a_copy_goes_its_own_way(source):
+    buffer = filled({'pose.source': source})
+    for t in (0.0, 0.2):
+        buffer.add_tf(at(t), turn(0.0, t), 'map', 'camera')
+    copied = buffer.copy()
+    known, later = copied.lookup(at(0.15), 'camera'), copied.lookup(at(0.3), 'camera')
+    assert later.T is None
+    np.testing.assert_array_equal(known.T, buffer.lookup(at(0.15), 'camera').T)
+    buffer.add(at(0.4), turn(10.0), 'map', '')
+    buffer.add_tf(at(0.4), turn(10.0), 'map', 'camera')
+    assert buffer.lookup(at(0.3), 'camera').T is not None
+    assert copied.lookup(at(0.3), 'camera').T is None
+    buffer.clear()
+    np.testing.assert_array_equal(copied.lookup(at(0.15), 'camera').T, known.T)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+import copy
 import re
 
 import numpy as np
@@ -69,6 +70,14 @@ class PoseBuffer:
         self._mounts: dict[tuple[str, str], NDArray[np.float64] | None] = {}
         self._gap, self._speed = round(pose.max_gap * 1e9), pose.max_speed
         self.tree.configure(pose)
+
+    def copy(self) -> PoseBuffer:
+        """Return one with the same samples, which goes its own way from here on."""
+        other = copy.copy(self)
+        other.notes, other._mounts = dict(self.notes), {}
+        other.tree = self.tree.copy()
+        other._poses = self._poses.copy() if self._poses else None
+        return other
 
     def clear(self) -> None:
         """Forget every sample (the clock went back); static transforms stay."""

@@ -1,6 +1,9 @@
 """The samples of one transform over time: interpolated, held, never extrapolated."""
 
+from __future__ import annotations
+
 from bisect import bisect_left, bisect_right
+import copy
 import math
 from typing import NamedTuple
 
@@ -78,6 +81,12 @@ class Track:
             # Against the median: one stamp that is hours ahead must not empty the buffer.
             self.forget(self.stamps[len(self.stamps) // 2] - self._keep)
         return True
+
+    def copy(self) -> Track:
+        """Return one with the same samples, which goes its own way from here on."""
+        other = copy.copy(self)
+        other.stamps, other.transforms = self.stamps.copy(), self.transforms.copy()
+        return other
 
     def forget(self, stamp: int) -> None:
         """Drop samples before *stamp*, but for the last of them."""

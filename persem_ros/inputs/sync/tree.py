@@ -1,6 +1,9 @@
 """The tree of frames that /tf and /tf_static span: paths, chains, and what a chain lacks."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
+import copy
 import math
 
 import numpy as np
@@ -49,6 +52,16 @@ class Tree:
         self._gap = round(pose.max_gap * 1e9)
         self._speed = pose.max_speed
         self._hold = frozenset(pose.hold)
+
+    def copy(self) -> Tree:
+        """Return one with the same transforms, which goes its own way from here on."""
+        other = copy.copy(self)
+        other.static = dict(self.static)
+        other.parents = {child: set(parents) for child, parents in self.parents.items()}
+        other._former = {edge: track.copy() for edge, track in self._former.items()}
+        other.moving = {child: other._former[track.parent, child]
+                        for child, track in self.moving.items()}
+        return other
 
     def add(self, stamp: int, T: NDArray[np.float64], parent: str, child: str) -> None:
         """Take a transform of /tf."""
