@@ -138,7 +138,10 @@ def _turn(T: NDArray) -> NDArray:
 def _errors(depths: Mapping[int, NDArray], pairs: Sequence[tuple[int, int]],
             moves: Sequence[NDArray], K: NDArray, factor: float) -> NDArray:
     """Return the misses of all pairs with the depth times *factor*, one array."""
-    errors = [misses(factor * depths[i], factor * depths[j], T, K)
+    # Relative errors are those of a motion that is smaller by as much: no image is multiplied.
+    scale = np.ones((4, 4))
+    scale[:3, 3] = 1.0 / factor
+    errors = [misses(depths[i], depths[j], T * scale, K)
               for (i, j), T in zip(pairs, moves, strict=True)]
     return np.concatenate(errors) if errors else np.empty(0)
 

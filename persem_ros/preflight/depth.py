@@ -160,15 +160,17 @@ def _unfitting(view: View, sample: Sample) -> Iterator[Finding]:
 
 def _no_measurements(shots: Mapping[int, Shot], unit: float, sample: Sample) -> Iterator[Finding]:
     """Yield a largest depth that stands for "nothing": a full number, or a far plane."""
-    values = np.concatenate([np.zeros(0), *(shot.depth.ravel() for shot in shots.values())])
-    values = values[values > 0.0]
-    if not values.size:
+    images = [shot.depth for shot in shots.values()]
+    top = max((image.max(initial=0.0) for image in images), default=0.0)
+    if not 0.0 < top <= sample.config.memory.max_depth:
         return
-    top = values.max()
-    share, rest = np.mean(values == top), values[values < top]
+    count = sum(np.count_nonzero(image) for image in images)
+    share = sum(np.count_nonzero(image == top) for image in images) / count
+    if share < SOME:
+        return
+    rest = np.concatenate([image[(image > 0.0) & (image < top)] for image in images])
     full = np.isclose(top, FULL * unit)
-    if top > sample.config.memory.max_depth or share < SOME or not rest.size or not (
-            full or top > BEYOND * np.percentile(rest, 99)):
+    if not rest.size or not (full or top > BEYOND * np.percentile(rest, 99)):
         return
     what = f'{FULL}, the largest number that there is' if full else \
         'the same largest number, as if there were nothing (sky, a far plane)'

@@ -149,4 +149,6 @@ def error_of(depths: Depths, moves: Sequence[Move],
 
 def measured(depth: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return a depth image in which 0 alone is no measurement."""
+    if depth.size and depth.min() >= 0.0 and depth.max() < np.inf:     # neither is so of NaN
+        return depth
     return np.where(np.isfinite(depth) & (depth > 0.0), depth, 0.0)

@@ -16,6 +16,7 @@ from persem_ros.inputs.recording.source import Head, Source, TopicInfo
 from persem_ros.inputs.recording.stamps import stamp_of
 from persem_ros.inputs.recording.topics import Choice, first_messages, INFO, POINTS
 from persem_ros.inputs.sync.poses import PoseBuffer
+from persem_ros.preflight.depth_fit import measured
 from persem_ros.preflight.sample import Sample, Shot, View
 from persem_ros.settings.config import Config, frame_of
 from persem_ros.settings.legend import load_legend
@@ -172,5 +173,5 @@ def _shots(source: Source, config: Config, infos: list[Any],
         with suppress(BadMessage):
             depth, view = assembler.seen(source.decode(source.read(head.file, head.place),
                                                        head.msgtype))
-            found[stamp] = Shot(np.where(np.isfinite(depth) & (depth > 0.0), depth, 0.0), view)
+            found[stamp] = Shot(measured(depth), view)
     return found

@@ -43,6 +43,9 @@ class Ending:
         self._wanted = False
         self._read, self._write = os.pipe()
         os.set_blocking(self._write, False)
+        # Written to as a signal comes: its handler runs at the next look only, and a main thread
+        # that waited for the interpreter's lock before it began to read would not look again.
+        signal.set_wakeup_fd(self._write, warn_on_full_buffer=False)
         for number in SIGNALS:
             if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # nohup
                 signal.signal(number, self._take)
@@ -62,7 +65,7 @@ class Ending:
 
     def wait(self) -> None:
         """Wait until the end is wanted; the main thread only."""
-        if not self._wanted:
+        while not self._wanted:
             os.read(self._read, 1)
 
     def over(self) -> None:

@@ -16,6 +16,7 @@ from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.intake import INFO, POSE, Station
 from persem_ros.inputs.sync.pairing import CONFIDENCE, DEPTH, DEPTH_CONFIDENCE, LABELS
 from persem_ros.inputs.sync.poses import PoseBuffer
+from persem_ros.preflight.depth_fit import measured
 from persem_ros.preflight.findings import Finding, NOTE, REFUSE
 from persem_ros.preflight.look import look
 from persem_ros.preflight.sample import Sample, Shot, View
@@ -143,8 +144,7 @@ class FirstLook:
             if stamp in stamps:
                 with suppress(BadMessage):
                     image, camera = assembler.seen(self._decode(item.data, item.kind))
-                    found[stamp] = Shot(np.where(np.isfinite(image) & (image > 0.0), image, 0.0),
-                                        camera)
+                    found[stamp] = Shot(measured(image), camera)
         return found
 
     def _decoded(self, items: list[Item]) -> list[Any]:

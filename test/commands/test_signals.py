@@ -144,3 +144,16 @@ def test_the_node_leaves_at_once_before_it_has_begun_and_hears_nothing_when_it_i
     assert ended('Ending(begun=False)\nask()\nprint(1)') == (130, '')
     assert ended('import atexit\nending = Ending()\natexit.register(ask)\nending.over()\nask()\n'
                  'leave_deaf(3)') == (3, '')
+
+
+def test_the_node_hears_a_signal_that_does_not_interrupt_its_wait():
+    # as one does that comes while the main thread waits for the interpreter's lock
+    assert ended('import threading, time\n'
+                 'ending = Ending()\n'
+                 'ending.patient = True\n'
+                 'def strike():\n'
+                 '    time.sleep(0.2)\n'
+                 '    signal.pthread_kill(threading.get_ident(), signal.SIGINT)\n'
+                 'threading.Thread(target=strike).start()\n'
+                 'ending.wait()\n'
+                 'print(ending.wanted)\n') == (0, 'True\n')
