@@ -11,8 +11,8 @@ from persem_ros.mosaic.run import build
 from persem_ros.replay import replay
 from persem_ros.settings.config import Config, updated
 
-STAGES = 'look', 'observe', 'index', 'join', 'volatility', 'refine', 'assemble'
-PARALLEL = 'observe', 'join', 'refine'
+STAGES = 'look', 'observe', 'index', 'join', 'volatility', 'fit', 'refine', 'assemble'
+PARALLEL = 'observe', 'join', 'fit', 'refine'
 # A city: flights of an hour at 10 Hz over 100 km^2.
 FLIGHTS, FRAMES, AREA = 1000, 36_000, 100e6
 WORKERS = 1, 16, 256
@@ -46,10 +46,10 @@ def show(result, seconds, path):
           f'({size / seen:.1f} bytes an observation); {seconds:.1f} s')
     units = {'look': (sessions, 'recording'), 'observe': (frames, 'frame'),
              'index': (frames, 'frame'), 'join': (seen, 'observation'),
-             'volatility': (tiles, 'tile'), 'refine': (seen, 'observation'),
-             'assemble': (seen, 'observation')}
+             'volatility': (tiles, 'tile'), 'fit': (seen, 'observation'),
+             'refine': (seen, 'observation'), 'assemble': (seen, 'observation')}
     costs = {}
-    for stage in STAGES:
+    for stage in (stage for stage in STAGES if stage in result['stages']):
         number, unit = units[stage]
         spent = result['stages'][stage]
         costs[stage] = spent / number, unit
@@ -57,6 +57,9 @@ def show(result, seconds, path):
         by_task = '' if each is None else \
             f'; {sum(each) / len(each):.3f} s a {"recording" if stage == "observe" else "tile"}'
         print(f'  {stage:<11}{spent:8.2f} s {spent / number * 1e6:12.2f} us a {unit}{by_task}')
+    for kind in ('look', 'count'):      # tasks of fit
+        if each := result['seconds'].get(kind):
+            print(f'    {kind:<9}{sum(each):8.2f} s; {sum(each) / len(each):.3f} s a task')
     return costs
 
 
@@ -69,8 +72,7 @@ def city(costs, result, path, area):
           f'observations, {seen * path.stat().st_size / result["observations"] / 1e12:.1f} TB, '
           f'{AREA * result["voxels"] / area:.2g} voxels; hours:')
     print(f'  {"workers":<11}' + ''.join(f'{n:>10}' for n in WORKERS))
-    for stage in STAGES:
-        cost, unit = costs[stage]
+    for stage, (cost, unit) in costs.items():
         hours = [cost * number[unit] / (n if stage in PARALLEL else 1) / 3600 for n in WORKERS]
         print(f'  {stage:<11}' + ''.join(f'{h:10.1f}' for h in hours))
     total = [sum(c * number[u] / (n if s in PARALLEL else 1) for s, (c, u) in costs.items()) / 3600
@@ -83,6 +85,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--flights', type=int, default=4)
     parser.add_argument('--frames', type=int, default=60)
+    parser.add_argument('--method', default='persem', help='refine.method')
     parser.add_argument('--folder', type=Path, help='keeps the simulated flights')
     parser.add_argument('--simulate', action='store_true', help='only make the flights')
     args = parser.parse_args()
@@ -91,8 +94,8 @@ def main():
         paths = flights(args.folder or out, args.flights, args.frames)
         if args.simulate:
             return
-        warm_up(False)
-        config = updated(Config(), {'memory.dynamic_labels': (10,)})
+        warm_up(args.method == 'geometry')
+        config = updated(Config(), {'memory.dynamic_labels': (10,), 'refine.method': args.method})
         seconds, _ = timed(replay, paths, out / 'replay', config, ('majority',), report=False)
         print(f'persem replay, all threads: {seconds:.1f} s (it renders and measures, too)')
         workers.one_thread()

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from persem_ros.core.geometry.kept import fitted_by
 from persem_ros.core.memory.capture import dump
 from persem_ros.core.memory.frame_table import FrameTable
 from persem_ros.core.memory.voxel_memory import VoxelMemory
@@ -48,15 +49,17 @@ class Frames:
             before += stamps
 
 
-def stamps_and_seen(parts: Sequence[Part]) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
-    """Return t of every frame of the map, and which ids were seen, (65536,)."""
-    t, seen, before = [], np.zeros(65536, np.uint8), 0
+def frames_and_seen(parts: Sequence[Part]) -> tuple[
+        NDArray[np.int32], NDArray[np.float64], NDArray[np.uint8]]:
+    """Return t and the sensor's place (3,) of every frame, and which ids were seen, (65536,)."""
+    t, placed, seen, before = [], [], np.zeros(65536, np.uint8), 0
     for part in parts:
         saved = store.head(part.path).stored.saved
         t.append(saved.frames.t + np.int32(before))
+        placed.append(saved.frames.placed[:, :3, 3])
         before += int(saved.frames.t.max()) + 1
         seen |= saved.seen_ids
-    return np.concatenate(t), seen
+    return np.concatenate(t), np.concatenate(placed), seen
 
 
 def volatility(tiles: Sequence[dict[str, Any]],
@@ -71,7 +74,8 @@ def volatility(tiles: Sequence[dict[str, Any]],
 
 
 def assemble(path: Path, plan: Plan, parts: Sequence[Part], tiles: dict[Tile, Path],
-             counts: Sequence[dict[str, Any]], seen: NDArray[np.uint8]) -> None:
+             counts: Sequence[dict[str, Any]], seen: NDArray[np.uint8],
+             habits: dict[str, NDArray[Any]]) -> None:
     """
     Write the map file of a build.
 
@@ -89,6 +93,8 @@ def assemble(path: Path, plan: Plan, parts: Sequence[Part], tiles: dict[Tile, Pa
         What join.join() gave for each tile.
     seen : ndarray, shape (65536,), uint8
         The ids that were seen.
+    habits : dict of str to ndarray
+        As of core.memory.dump.MemoryDump: of the method geometry, {} by others.
 
     """
     config = plan.config
@@ -99,7 +105,8 @@ def assemble(path: Path, plan: Plan, parts: Sequence[Part], tiles: dict[Tile, Pa
     saved = replace(
         dump(VoxelMemory(config.memory.voxel_size, config.map.origin,
                          config.memory.max_history)),
-        starts=starts, changes=changes, rho=rho, seen_ids=seen, frames=table)
+        starts=starts, changes=changes, rho=rho, seen_ids=seen, frames=table, habits=habits,
+        fitted_by=fitted_by(config.refine) if habits else None)
     about = {'settings': config_file.to_yaml(config), 'map_frame': config.frames.map,
              'legend': plan.legend.to_yaml(), 'session': len(parts) - 1,
              **{name: sum(tile[name] for tile in counts)

@@ -124,6 +124,32 @@ def load_array(path: str | Path) -> NDArray[Any]:
     return values
 
 
+def save_arrays(path: str | Path, arrays: dict[str, NDArray[Any]]) -> None:
+    """Write arrays that one task reads, by their names, whole or not at all."""
+    with replacing(path) as work, open(work, 'wb') as out:
+        np.savez(out, allow_pickle=False, **arrays)
+
+
+def load_arrays(path: str | Path, *names: str) -> dict[str, NDArray[Any]]:
+    """Return such arrays, those of some names or all."""
+    with np.load(path, allow_pickle=False) as found:
+        return {name: found[name] for name in names or found.files}
+
+
+def save_folder(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
+    """Write arrays of which all workers read a part, by their names, whole or not at all."""
+    work = path.with_name(f'{path.name}.partial')
+    shutil.rmtree(work, ignore_errors=True)
+    for name, values in arrays.items():
+        save_array(work / f'{name}.npy', values)
+    work.rename(path)
+
+
+def load_folder(path: str | Path) -> dict[str, NDArray[Any]]:
+    """Return such arrays, read as far as they are used."""
+    return {found.stem: load_array(found) for found in sorted(Path(path).glob('*.npy'))}
+
+
 def _begin(path: Path, identity: dict[str, Any], force: bool) -> None:
     """Make the folder of this build where it holds none, or a part of it; refuse another."""
     before = _noted(path / WORK / REQUEST)

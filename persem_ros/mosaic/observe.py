@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import time
 from typing import Any
 
+import numpy as np
 from persem_ros.ahead import read_ahead
 from persem_ros.core import jit
 from persem_ros.core.memory.capture import dump
@@ -85,5 +86,6 @@ def observe(task: Observing, tick: Callable[..., Any] | None = None) -> dict[str
                 'observations': memory.n_observations, 'dropped': dict(recording.dropped),
                 'notes': [note for note in recording.notes if note not in task.of.said],
                 'empty': '' if memory.n_observations else empty.sentence(),
+                'voted': np.flatnonzero(memory.voted_ids).tolist(),
                 'tiles': tiles_of(saved.block_index, task.side),
                 'seconds': round(time.perf_counter() - began, 3)}

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.memory.pools import SIDE
-from persem_ros.core.refine.job import SWEPT
 from persem_ros.errors import PersemError
 from persem_ros.evaluate.work.manifest import source_hash
 from persem_ros.inputs.recording.finding import split
@@ -194,9 +193,6 @@ def _side(tile: float, config: Config) -> int:
 
 def _check(config: Config) -> None:
     """Refuse settings whose map is not made of tiles, or not begun here."""
-    if config.refine.method not in SWEPT:
-        raise PersemError(f'refine.method {config.refine.method} needs the whole map in memory; '
-                          'build with --set refine.method=persem, or use persem replay')
     if config.map.path:
         raise PersemError('map.path: a build begins with an empty map; leave it out, and join '
                           'maps with persem map merge')

@@ -10,16 +10,20 @@ import shutil
 import time
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from persem_ros.core.jit import Announcement
 from persem_ros.core.memory.pools import SIDE
 from persem_ros.core.warmup import warm_up
 from persem_ros.errors import PersemError
 from persem_ros.inputs.recording.finding import split
 from persem_ros.mosaic import assemble, folder as folders
+from persem_ros.mosaic.fit import Fitted, fitted
 from persem_ros.mosaic.join import join, Joining, Part
 from persem_ros.mosaic.observe import observe, Observing
 from persem_ros.mosaic.plan import Plan, planned, Tile
 from persem_ros.mosaic.refine import refine, Refining
+from persem_ros.mosaic.surroundings import Surrounded
 from persem_ros.outputs.files import write_json, write_text
 from persem_ros.outputs.results import rundir
 from persem_ros.settings import config_file
@@ -75,8 +79,9 @@ def build(paths: Sequence[str | Path], out: Path | str, config: Config, tile: fl
         return found
     keep = [part for path in paths for part in split(path)]
     with folders.opened(out, identity, force, keep, workers, scheduler) as folder:
-        with Announcement():
-            warm_up(False)
+        geometry = config.refine.method == 'geometry'
+        with Announcement(*['geometry'] if geometry else []):
+            warm_up(geometry)
         result = _build(folder, plan, watch)
         result = {**result, 'of': identity, 'total_s': round(time.perf_counter() - began, 3),
                   'stages': {name: round(s, 3) for name, s in watch.seconds.items()},
@@ -102,38 +107,50 @@ def _build(folder: folders.Folder, plan: Plan, watch: rundir.Stopwatch) -> dict[
         for path, seen_there in zip(paths, observed):
             parts.append(Part(path, first, seen_there['frames']))
             first += seen_there['frames']
-        stamps, seen = assemble.stamps_and_seen(parts)
-        arrays = {name: folder.path('arrays', f'{name}.npy') for name in ('t', 'seen', 'rho')}
-        folders.save_array(arrays['t'], stamps)
-        folders.save_array(arrays['seen'], seen)
+        t, placed, seen = assemble.frames_and_seen(parts)
+        arrays = [str(folder.path('arrays', f'{name}.npy')) for name in ('t', 'placed', 'seen')]
+        rho = str(folder.path('arrays', 'rho.npy'))
+        of_frames: tuple[NDArray[Any], ...] = t, placed, seen
+        for array, values in zip(arrays, of_frames):
+            folders.save_array(Path(array), values)
         tiles = _tiles(plan, parts, observed)
         files = {tile: folder.path('tiles', f'{tile.i}/{tile.j}.persem') for tile in tiles}
         # A folder a row of tiles: whoever writes a file looks through its folder.
         named = {f'{tile.i}/{tile.j}': tile for tile in tiles}
-    shared = str(arrays['t']), str(arrays['seen'])
     with watch('join'):
         counts = list(folder.finished(
-            'tiles', {name: Joining(tile, tuple(tiles[tile]), plan.config, *shared,
-                                    str(files[tile])) for name, tile in named.items()},
+            'tiles', {name: Joining(tile, tuple(tiles[tile]), plan.config, arrays[0],
+                                    arrays[2], str(files[tile])) for name, tile in named.items()},
             join, [1] * len(tiles), 'joining', 'tiles').values())
     with watch('volatility'):
-        folders.save_array(arrays['rho'], assemble.volatility(counts)[2])
+        folders.save_array(Path(rho), assemble.volatility(counts)[2])
+    around = {name: Surrounded(tile, str(files[tile]), tuple(
+        str(files[other]) for other in tile.around() if other in files), plan.config, *arrays)
+        for name, tile in named.items()}
+    known, habits, took = None, {}, {}      # type: Any, dict[str, Any], dict[str, Any]
+    if plan.config.refine.method == 'geometry':
+        with watch('fit'):
+            known, took = fitted(folder, around, plan.config.refine)
+            habits = _habits(known, observed)
     with watch('refine'):
         refined = list(folder.finished(
-            'refined', {name: Refining(
-                tile, str(files[tile]), tuple(str(files[other]) for other in tile.around()
-                                              if other in files),
-                plan.config, *shared, str(arrays['rho'])) for name, tile in named.items()},
+            'refined', {name: Refining(of, rho, known) for name, of in around.items()},
             refine, [1] * len(tiles), 'refining', 'tiles').values())
     with watch('assemble'):
-        assemble.assemble(folder.out / folders.MAP, plan, parts, files, counts, seen)
+        assemble.assemble(folder.out / folders.MAP, plan, parts, files, counts, seen, habits)
     return {'frames': {'used': first,
                        'dropped': dict(sum((Counter(o['dropped']) for o in observed), Counter()))},
             'sessions': len(parts), 'voxels': sum(tile['voxels'] for tile in counts),
             'observations': sum(tile['observations'] for tile in counts), 'tiles': len(tiles),
             'seconds': {'recordings': [one['seconds'] for one in observed],
-                        'join': [one['seconds'] for one in counts],
+                        'join': [one['seconds'] for one in counts], **took,
                         'refine': [one['seconds'] for one in refined]}}
+
+
+def _habits(known: Fitted, observed: list[dict[str, Any]]) -> dict[str, NDArray[Any]]:
+    """Return the parameters as a map file has them."""
+    ids = np.unique(np.concatenate([one['voted'] for one in observed])).astype(np.uint16)
+    return {**known.arrays(), 'known': ids, 'voted': ids}
 
 
 def _check(observed: list[dict[str, Any]]) -> None:

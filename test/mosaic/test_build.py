@@ -8,7 +8,7 @@ from persem_ros import workers
 from persem_ros.cli import main
 from persem_ros.errors import PersemError
 from persem_ros.evaluate.work import manifest
-from persem_ros.mosaic import folder, plan, run
+from persem_ros.mosaic import fit, folder, plan, run
 from persem_ros.outputs.map import store
 from persem_ros.replay import replay
 from persem_ros.settings.config import Config, updated
@@ -58,10 +58,6 @@ def test_a_build_is_the_replay_byte_for_byte(recordings, expected, tmp_path, til
     assert (result['tiles'] <= 4) == (tile == 64.0)     # around the origin
 
 
-def test_several_processes(recordings, expected, tmp_path):
-    assert built(recordings, tmp_path, workers=2) == expected
-
-
 @pytest.mark.parametrize('values', [
     {'refine.method': 'probabilistic', 'map.origin': (0.13, -5.0, 0.7)},
     {'memory.max_history': 2, 'refine.neighbours': 6}, {'refine.method': 'majority'}],
@@ -72,7 +68,49 @@ def test_other_settings(recordings, tmp_path, values):
         (tmp_path / 'replay' / 'map.persem').read_bytes()
 
 
-def test_any_order_of_completion(recordings, expected, tmp_path, monkeypatch):
+GEOMETRY = {'refine.method': 'geometry', 'refine.geometry.cell': 5, 'refine.geometry.window': 3}
+FORMS = ('core.geometry.method', 'core.geometry.looks', 'mosaic.look', 'mosaic.fit')
+
+
+@pytest.fixture(scope='module')
+def by_geometry(recordings, tmp_path_factory):
+    """Return the bytes of the map that a replay by the method geometry leaves."""
+    out = tmp_path_factory.mktemp('geometry')
+    replay(recordings, out, config_of(**GEOMETRY), report=False)
+    return (out / 'map.persem').read_bytes()
+
+
+@pytest.mark.parametrize('tile', [0.3, 64.0])
+def test_geometry_is_a_map_and_a_reduce_a_round(recordings, by_geometry, tmp_path, tile):
+    assert built(recordings, tmp_path, tile, GEOMETRY) == by_geometry
+    seconds = json.loads((tmp_path / 'build.json').read_text('utf-8'))['seconds']
+    assert len(seconds['count']) == 4 * len(seconds['look'])    # at the start, and three rounds
+
+
+def test_several_processes(recordings, by_geometry, tmp_path):
+    assert built(recordings, tmp_path, values=GEOMETRY, workers=2) == by_geometry
+
+
+@pytest.mark.parametrize('values', [
+    {'refine.up': 'x', 'memory.max_history': 2},
+    {'map.origin': (0.13, -5.0, 0.7), 'refine.up': '-y', 'refine.geometry.smoothing': 0.0}],
+    ids=lambda values: next(iter(values)))
+def test_geometry_by_other_settings(recordings, tmp_path, values):
+    values = {**GEOMETRY, **values}
+    replay(recordings[:2], tmp_path / 'replay', config_of(**values), report=False)
+    assert built(recordings[:2], tmp_path / 'build', values=values) == \
+        (tmp_path / 'replay' / 'map.persem').read_bytes()
+
+
+def test_geometry_of_many_classes(recordings, tmp_path, monkeypatch):
+    for module in FORMS:
+        monkeypatch.setattr(f'persem_ros.{module}.MOST_DENSE', 0)
+    replay(recordings[:2], tmp_path / 'replay', config_of(**GEOMETRY), report=False)
+    assert built(recordings[:2], tmp_path / 'build', values=GEOMETRY) == \
+        (tmp_path / 'replay' / 'map.persem').read_bytes()
+
+
+def test_any_order_of_completion(recordings, by_geometry, tmp_path, monkeypatch):
     order = random.Random(7)
     results = workers.Crew.results
 
@@ -83,32 +121,36 @@ def test_any_order_of_completion(recordings, expected, tmp_path, monkeypatch):
                 results(self, work, [task for _, task in found], *options))):
             yield place, result
     monkeypatch.setattr(workers.Crew, 'results', shuffled)
-    assert built(recordings, tmp_path) == expected
+    assert built(recordings, tmp_path, values=GEOMETRY) == by_geometry
+
+
+STAGES = {'observe': run, 'join': run, 'look': fit, 'count': fit, 'refine': run}
 
 
 @pytest.mark.parametrize('stage, after', [
-    ('observe', 1), ('join', 2), ('refine', 1), ('assemble', 0)])
-def test_a_build_that_was_stopped_goes_on(recordings, expected, tmp_path, monkeypatch, stage,
+    ('observe', 1), ('join', 2), ('look', 1), ('count', 1), ('count', 9), ('refine', 1),
+    ('assemble', 0)])
+def test_a_build_that_was_stopped_goes_on(recordings, by_geometry, tmp_path, monkeypatch, stage,
                                           after):
     counts = {}
     with monkeypatch.context() as patched:
-        for name in ('observe', 'join', 'refine'):
-            patched.setattr(run, name, _counting(getattr(run, name), counts, name,
-                                                 after if name == stage else None))
+        for name, module in STAGES.items():
+            patched.setattr(module, name, _counting(getattr(module, name), counts, name,
+                                                    after if name == stage else None))
         if stage == 'assemble':
             patched.setattr(run.assemble, 'assemble', _stop)
         with pytest.raises(KeyboardInterrupt):
-            built(recordings, tmp_path)
+            built(recordings, tmp_path, values=GEOMETRY)
     assert not (tmp_path / 'map.persem').exists()
     before, counts = counts, {}
     with monkeypatch.context() as patched:
-        for name in ('observe', 'join', 'refine'):
-            patched.setattr(run, name, _counting(getattr(run, name), counts, name))
-        assert built(recordings, tmp_path) == expected
-    total = {name: before.get(name, 0) + counts.get(name, 0)
-             for name in ('observe', 'join', 'refine')}
+        for name, module in STAGES.items():
+            patched.setattr(module, name, _counting(getattr(module, name), counts, name))
+        assert built(recordings, tmp_path, values=GEOMETRY) == by_geometry
+    total = {name: before.get(name, 0) + counts.get(name, 0) for name in STAGES}
     tiles = json.loads((tmp_path / 'build.json').read_text('utf-8'))['tiles']
-    assert total == {'observe': 3, 'join': tiles, 'refine': tiles}     # nothing was done twice
+    assert total == {'observe': 3, 'join': tiles, 'look': tiles, 'count': 4 * tiles,
+                     'refine': tiles}       # nothing was done twice
 
 
 def _stop(*_):
@@ -170,7 +212,6 @@ def test_a_folder_in_use(recordings, tmp_path, capsys):
     (('--tile', '0'), '--tile 0: expected metres above 0, such as --tile 64'),
     (('--tile', 'nan'), '--tile nan: expected metres above 0'),
     (('--tile', '1e300'), 'expected metres, such as --tile 64'),
-    (('--set', 'refine.method=geometry'), 'build with --set refine.method=persem'),
     (('--set', 'memory.clear_after=3'), 'needs the frames one after the other'),
     (('--set', 'map.path=other.persem'), 'join maps with persem map merge'),
     (('--set', 'memory.clear_after=3'), '--set memory.clear_after=0, or use persem replay'),

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Any, Optional
 
 import numpy as np
+from persem_ros.core.geometry.columns import cells_at
 from persem_ros.core.geometry.dense import looks
 from persem_ros.core.geometry.labelling import SMOOTHED, with_ring
-from persem_ros.core.geometry.method import cells_at, groups_in, model_of, places_of
+from persem_ros.core.geometry.method import groups_in, model_of, places_of
 from persem_ros.core.geometry.schedule import fit
 from persem_ros.core.geometry.shape import LEVELS
 from persem_ros.core.geometry.votes import take_votes

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple, replace
+from dataclasses import astuple
 from typing import Any, Union
 
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.geometry.dense import MOST as MOST_DENSE
-from persem_ros.core.geometry.entries import entries_of, listed
+from persem_ros.core.geometry.entries import entries_of
 from persem_ros.core.geometry.groups import Cells, cells_from, cells_listed, KINDS, SHAPES
 from persem_ros.core.geometry.parameters import correlation, estimate, Parameters, Sums
 from persem_ros.core.geometry.sparse import estimate_sparse, SparseParameters, SparseSums
+from persem_ros.core.geometry.totals import Numbers
+from persem_ros.core.memory.pools import ranges
 
 MOST = 2.0 ** 53         # voxels or looks that a sum may come to
 LEAST_PI = 1e-12        # section 12.4 adds 1e-9 to each
@@ -54,28 +56,56 @@ class Tally:
 
 def in_cells(parameters: Any_Parameters, cells: tuple[Cells, Cells]) -> Any_Parameters:
     """Return the same parameters by the numbers of other cells; what these lack is let go."""
-    K, lists = len(parameters.classes), []
-    for old, new in zip(parameters.cells, cells):
-        places = {tuple(at): k for k, at in enumerate(cells_listed(new).tolist())}
-        lists.append(np.array([places.get(tuple(at), -1) for at in cells_listed(old).tolist()],
-                              np.int64))
-    if isinstance(parameters, Parameters):
-        groups = [parameters.groups[0]]
-        for R, new, moved in zip(parameters.groups[1:], cells, lists):
-            found = np.zeros((new.number * KINDS + 1, K))
-            stays = np.flatnonzero(moved >= 0)
-            found[:-1].reshape(new.number, KINDS, K)[moved[stays]] = \
-                R[:-1].reshape(len(moved), KINDS, K)[stays]
+    return within(parameters.arrays(), cells)
+
+
+def within(arrays: Arrays, cells: tuple[Cells, Cells]) -> Any_Parameters:
+    """
+    Return the parameters that arrays() gave, by the numbers of some cells and of these only.
+
+    Parameters
+    ----------
+    arrays : dict
+        Of the whole map; they may lie in files, of which little is read.
+    cells : pair of core.geometry.groups.Cells
+        They need not be the map's.
+
+    """
+    lists = [Numbers(arrays[name]).of(cells_listed(own)) for name, own in zip(
+        ('cells', 'shifted_cells'), cells)]
+    classes, pi, fine = (np.array(arrays[name]) for name in ('classes', 'pi', 'fine'))
+    K, rho = len(classes), float(arrays['rho'][0])
+    if 'theta' in arrays:
+        groups = [fine]
+        for name, number in zip(('coarse', 'shifted'), lists):
+            found, known = np.zeros((len(number) * KINDS + 1, K)), number >= 0
+            found[:-1].reshape(-1, KINDS, K)[known] = \
+                arrays[name][:-1].reshape(-1, KINDS, K)[number[known]]
             groups.append(found)
-        return replace(parameters, cells=cells, groups=groups)
+        return Parameters(classes, cells, pi, np.array(arrays['theta']), groups, rho)
     entries, totals = [], []
-    for counted, new, moved in zip(parameters.groups, cells, lists):
-        keys, values = listed(counted)
-        at = np.append(moved, -1)[keys // (K * KINDS)]      # the last: of unknown cells
-        keys, values = (at * K * KINDS + keys % (K * KINDS))[at >= 0], values[at >= 0]
+    for name, number in zip(('coarse', 'shifted'), lists):
+        keys, values, found = _of_cells(arrays, name, number, K)
         entries.append(entries_of(keys, values))
-        totals.append(np.bincount(keys // K, values, new.number * KINDS + 1))
-    return replace(parameters, cells=cells, groups=tuple(entries), totals=tuple(totals))
+        totals.append(found)
+    confusion = entries_of(*(np.array(arrays[f'confusion_{what}']) for what in ('keys', 'values')))
+    return SparseParameters(
+        classes, cells, pi, rho, confusion, np.array(arrays['rows']), np.array(arrays['f']),
+        float(arrays['a'][0]), fine, (entries[0], entries[1]), (totals[0], totals[1]))
+
+
+def _of_cells(arrays: Arrays, name: str, number: NDArray[np.int64], K: int) -> tuple[
+        NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return keys and values of the groups of cells, and their totals; -1 is no cell."""
+    listed, size = arrays[f'{name}_keys'], KINDS * K
+    begin, end = (np.searchsorted(listed, (number + k) * size) for k in (0, 1))
+    rows = ranges(begin, np.where(number >= 0, end - begin, 0))
+    own = np.repeat(np.arange(len(number)), np.where(number >= 0, end - begin, 0))
+    totals, known = np.zeros(len(number) * KINDS + 1), number >= 0
+    totals[:-1].reshape(-1, KINDS)[known] = \
+        arrays[f'{name}_totals'][:-1].reshape(-1, KINDS)[number[known]]
+    return own * size + np.array(listed[rows]) % size, \
+        np.array(arrays[f'{name}_values'][rows]), totals
 
 
 def from_arrays(arrays: Arrays) -> Any_Parameters:
@@ -93,9 +123,14 @@ def from_arrays(arrays: Arrays) -> Any_Parameters:
         (arrays['coarse_totals'], arrays['shifted_totals']))
 
 
+def fitted_by(settings: Any) -> tuple[Any, ...]:
+    """Return what parameters depend on besides the map: the values of refine.up and .geometry."""
+    return (settings.up, *astuple(settings.geometry))
+
+
 def parameters_of(memory: Any, settings: Any) -> Any:
     """Return the parameters that a map has for settings (refine), None where it has none."""
-    if memory.fitted_by != (settings.up, *astuple(settings.geometry)):
+    if memory.fitted_by != fitted_by(settings):
         return None
     if memory.geometry is None and memory.habits:
         return from_arrays(memory.habits)

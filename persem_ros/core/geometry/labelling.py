@@ -38,11 +38,12 @@ def label_rows(model: Any, parameters: Any, buffer: int = BUFFER,
     taken = model.taken
     n, refined = len(taken.number), taken.refined
     best, confidence = np.zeros(n, np.int64), np.zeros(n, np.float32)
-    if taken.relief is not None and refined < n:        # the rings are there, and no more
+    rows = max(SLICE, buffer // model.row_bytes)
+    # The rings are there, and no more.
+    if taken.relief is not None and refined < n <= rows:
         rounds = [np.arange(n)] * (SMOOTHED if model.settings.smoothing else 0)
         model.label(parameters, [*rounds, np.arange(refined)], best, confidence)
         return best[:refined], confidence[:refined]
-    rows = max(SLICE, buffer // model.row_bytes)
     slices = 1 if n <= rows else -(-refined * 2 // rows)        # a ring or two come on top
     for part in range(slices):
         wanted = [np.arange(refined * part // slices, refined * (part + 1) // slices)]

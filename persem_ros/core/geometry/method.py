@@ -7,9 +7,10 @@ from typing import Any, NamedTuple, Optional, Union
 
 import numpy as np
 from numpy.typing import NDArray
+from persem_ros.core.geometry.columns import cells_at
 from persem_ros.core.geometry.dense import Dense, MOST as MOST_DENSE
 from persem_ros.core.geometry.ground import Ground, ground_of, lower, NONE, TILE, tiles_of
-from persem_ros.core.geometry.groups import Cells, Groups, groups_of, make_cells
+from persem_ros.core.geometry.groups import Cells, Groups, groups_of
 from persem_ros.core.geometry.labelling import label_rows
 from persem_ros.core.geometry.parameters import Parameters, Sums
 from persem_ros.core.geometry.schedule import fit
@@ -94,14 +95,12 @@ def relabel(memory: Any, taken: Any, settings: Any,
     return Labelled(labels, sources, posterior, parameters, sums)
 
 
-def _check_pairs(votes: Votes) -> None:
-    """Refuse (PersemError) votes whose pairs would fill the memory or take for ever."""
-    count, K = votes.count.astype(float), len(votes.classes)
-    pairs = float((count ** 2).sum())
-    if min(float(K) ** 2, pairs) > MOST_PAIRS or pairs > MOST_WORK + WORK_A_VOTE * count.sum():
+def check_pairs(pairs: float, votes: float, most: int, K: int) -> None:
+    """Refuse (PersemError) pairs of classes that would fill the memory or take for ever."""
+    if min(float(K) ** 2, pairs) > MOST_PAIRS or pairs > MOST_WORK + WORK_A_VOTE * votes:
         raise PersemError(
             'the method geometry counts pairs of the classes of each voxel, and this map has '
-            f'{pairs:.2g}, of {K} classes, up to {int(count.max(initial=0))} in a voxel: more '
+            f'{pairs:.2g}, of {K} classes, up to {most} in a voxel: more '
             f'than {MOST_PAIRS:.3g} different ones, or {WORK_A_VOTE} a vote; choose another '
             'refine.method')
 
@@ -113,13 +112,10 @@ def model_of(blocks: Any, taken: Any, votes: Votes, groups: Groups, cells: tuple
     form = Dense if (isinstance(parameters, Parameters) if parameters is not None else
                      len(votes.classes) <= MOST_DENSE) else Sparse
     if form is Sparse:
-        _check_pairs(votes)
+        count = votes.count.astype(float)
+        check_pairs(float((count ** 2).sum()), float(count.sum()),
+                    int(count.max(initial=0)), len(votes.classes))
     return form(blocks, taken, votes, groups, cells, constants)
-
-
-def cells_at(ground: Ground, cell: int) -> tuple[Cells, Cells]:
-    """Return the cells over a ground, and those shifted by half of one."""
-    return make_cells(ground, 0, cell), make_cells(ground, cell // 2, cell)
 
 
 def places_of(memory: Any, taken: Any, settings: Any) -> Places:

@@ -155,14 +155,17 @@ class Sparse:
     ----------
     blocks, taken, votes, groups, cells, settings
         As core.geometry.dense.Dense takes them.
+    near : pair of ndarray, optional
+        What candidates.near_classes gives, where it is known.
 
     """
 
     def __init__(self, blocks: Any, taken: Any, votes: Votes, groups: Groups,
-                 cells: tuple[Cells, Cells], settings: Any) -> None:
+                 cells: tuple[Cells, Cells], settings: Any,
+                 near: Optional[tuple[NDArray[np.int64], NDArray[np.int32]]] = None) -> None:
         self.blocks, self.taken, self.votes = blocks, taken, votes
         self.groups, self.cells, self.settings = groups, cells, settings
-        self.near = near_classes(blocks, taken, votes)
+        self.near = near_classes(blocks, taken, votes) if near is None else near
 
     @property
     def row_bytes(self) -> int:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.geometry.kept import from_arrays, in_cells, Tally
-from persem_ros.core.geometry.method import cells_at, Labelled, relabel
+from persem_ros.core.geometry.columns import cells_at
+from persem_ros.core.geometry.kept import fitted_by, from_arrays, in_cells, Tally
+from persem_ros.core.geometry.method import Labelled, relabel
 from persem_ros.core.jit import kernel, split
 from persem_ros.core.memory.blocks import directions
 from persem_ros.core.memory.paging import block_numbers
@@ -103,7 +104,7 @@ def begin(memory: VoxelMemory, settings: Refine, full: bool = True) -> Job:
 
 def _news(memory: Any, settings: Any) -> bool:
     """Return whether parameters have to be fitted anew: there are none, or a class is new."""
-    by = settings.up, *astuple(settings.geometry)
+    by = fitted_by(settings)
     if memory.geometry is None and memory.habits:
         memory.geometry = from_arrays(memory.habits)
     memory.habits = {}

@@ -9,20 +9,31 @@ its columns (spec section 12); to label these, two rings more have to be looked 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, Optional
+from typing import Any, NamedTuple, Optional
 
 import numpy as np
 from numpy.typing import NDArray
+from persem_ros.core.geometry.columns import Columns, columns_of
+from persem_ros.core.geometry.ground import Ground, keys_of
 from persem_ros.core.geometry.labelling import SMOOTHED
-from persem_ros.core.geometry.relief import Change, Relief, spread
+from persem_ros.core.geometry.relief import Change, read_bits, Relief, spread
 from persem_ros.core.geometry.shape import RADIUS
-from persem_ros.core.geometry.upright import up_of
+from persem_ros.core.geometry.upright import up_of, upright
 from persem_ros.core.jit import split
 from persem_ros.core.memory.paging import block_numbers
 from persem_ros.core.memory.pools import ROWS, SIDE, sparse_zeros
 from persem_ros.core.refine import snapshot
 
 NO_BLOCKS = np.empty(0, np.int64)
+ASIDE = SMOOTHED + 1    # rings that count: in the last one classes that were seen, no more
+
+
+class Surroundings(NamedTuple):
+    """What core.geometry.relief.Relief tells of a whole map, around some blocks of one."""
+
+    bits: NDArray[np.uint8]
+    tile: NDArray[np.int32]
+    ground: Optional[Ground]
 
 
 def reached(memory: Any, settings: Any, everywhere: bool,
@@ -84,6 +95,49 @@ def _part(memory: Any, settings: Any, change: Change, dirty: NDArray[np.int64],
         ends.append(end)
     taken = snapshot.copied(memory, *(column[:end] for column in lists), ends[1], shares=False)
     return replace(taken, relief=memory.relief, reshaped=_reshaped(near, taken), swept=ends[0])
+
+
+def surrounded(memory: Any, settings: Any, numbers: NDArray[np.int64], rings: int,
+               columns: Optional[Columns] = None) -> snapshot.Snapshot:
+    """
+    Return the Snapshot of the voxels of blocks that are there, and of rings around these.
+
+    Parameters
+    ----------
+    memory : core.memory.voxel_memory.VoxelMemory
+        It holds all blocks around them.
+    settings : persem_ros.settings.config.Refine
+        Its up and geometry are read.
+    numbers : ndarray, int64
+        The blocks.
+    rings : int
+        8 at most, less the radius of shapes where these are wanted in the rings.
+    columns : core.geometry.columns.Columns, optional
+        Of the whole map; None: no ground is wanted.
+
+    """
+    blocks, n, up = memory.m.blocks, memory.n_blocks, up_of(settings.up)
+    near = snapshot.blocks_around(blocks, numbers, n)
+    now = np.zeros((len(near), ROWS), np.uint8)
+    split(read_bits, len(near), blocks, memory.m.voxels, near, memory.n_gone > 0, now, grain=256)
+    bits, marks = (sparse_zeros((n, ROWS), np.uint8) for _ in range(2))
+    bits[near], marks[numbers] = now, 255
+    wide, around = _spread(blocks, n, numbers, marks, rings)
+    wide[numbers] = 0
+    size = int(blocks['count'][near].sum())
+    lists = [np.empty(size, np.int64) for _ in range(3)]
+    end, ends = 0, []
+    for some, rows in ((numbers, marks), (around, wide)):
+        rows[some] &= bits[some]
+        end = snapshot.list_marked(blocks, some, rows, *lists, end)
+        ends.append(end)
+    taken = snapshot.copied(memory, *(column[:end] for column in lists), ends[0], shares=False)
+    tile, ground = sparse_zeros(n, np.int32), None
+    if columns is not None and end:
+        ground = columns.ground(columns_of(upright(taken.index, up)), settings.geometry.window)
+        tile[near] = np.searchsorted(
+            keys_of(ground.tiles), keys_of(upright(blocks['index'][near], up)[:, :2]))
+    return replace(taken, relief=Surroundings(bits, tile, ground), reshaped=np.arange(end))
 
 
 def at_hand(memory: Any, voxel: NDArray[np.int32],

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from persem_ros.core.geometry.kept import fitted_by
 from persem_ros.core.memory.pools import SIDE
 from persem_ros.core.refine.explain import explain
 from persem_ros.outputs.map.explanation import explanation, of_file
@@ -58,8 +58,7 @@ def surroundings(path: Path | str, point: NDArray[np.float64],
     place = np.floor((point - np.array(whole.saved.origin)) / whole.saved.voxel_size)
     voxel = np.nan_to_num(place, nan=FARTHEST).clip(-FARTHEST, FARTHEST).astype(np.int32)
     settings = whole.config().refine
-    if settings.method == 'geometry' and whole.saved.fitted_by != (
-            settings.up, *astuple(settings.geometry)):
+    if settings.method == 'geometry' and whole.saved.fitted_by != fitted_by(settings):
         stored = load(path)
     else:
         reach, up = _reach(settings)

@@ -1,0 +1,49 @@
+"""A tile is looked at: the votes and shapes of its voxels, for the rounds of method geometry."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+import time
+from typing import Any
+
+import numpy as np
+from persem_ros.core.geometry.columns import columns_of
+from persem_ros.core.geometry.dense import MOST as MOST_DENSE
+from persem_ros.core.geometry.looks import look as look_at, pairs_of
+from persem_ros.core.memory.paging import block_numbers
+from persem_ros.core.refine.job import number_of_ids
+from persem_ros.core.refine.reach import surrounded
+from persem_ros.core.warmup import warm_up
+from persem_ros.mosaic.folder import save_arrays
+from persem_ros.mosaic.surroundings import Surrounded
+
+
+@dataclass(frozen=True)
+class Looking:
+    """A tile to be looked at, and the file of arrays to write."""
+
+    of: Surrounded
+    path: str
+
+    @property
+    def name(self) -> str:
+        """Return the tile's name."""
+        return self.of.name
+
+
+def look(task: Looking, tick: Callable[..., Any] | None = None) -> dict[str, Any]:
+    """Write the core.geometry.looks.Looks and Columns of a tile; return what it came to."""
+    warm_up(False)
+    began = time.perf_counter()
+    own, memory = task.of.read()
+    settings = task.of.config.refine
+    beside = number_of_ids(memory) > MOST_DENSE
+    taken = surrounded(memory, settings, block_numbers(memory, own.block_index), int(beside))
+    looks = look_at(memory, taken, settings, beside)
+    save_arrays(task.path, {**looks.arrays(), **columns_of(looks.index)._asdict()})
+    if tick is not None:
+        tick()
+    return {'classes': np.unique(looks.votes.classes).tolist(), 'voxels': len(looks.shape),
+            'pairs': list(pairs_of(looks.votes)),
+            'seconds': round(time.perf_counter() - began, 3)}
