@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from persem_ros.ahead import read_ahead, WriteBehind
 from persem_ros.core.jit import Announcement
 from persem_ros.core.memory.voxel_memory import VoxelMemory
-from persem_ros.core.refine.regions import regions
+from persem_ros.core.refine.regions import region_image, regions
 from persem_ros.core.warmup import warm_up
 from persem_ros.errors import PersemError
 from persem_ros.inputs.recording import corrected, finding
@@ -103,12 +103,11 @@ class Replay:
                 self._integrate(frame)
         self._check_map()
         self._refine()
-        self._write_map()
-        # One more at the end: -1 is the number of no voxel, and no region its own.
-        codes = np.append(regions(self.pipeline.memory, self.config.refine.neighbours)[0],
-                          np.uint8(0))
+        codes = regions(self.pipeline.memory, self.config.refine.neighbours)[0]
         with self._refined() as refined, self._behind() as later:
-            with self._read('rendering', truth=True, color=bool(self.watchers)) as frames:
+            with WriteBehind() as beside, \
+                    self._read('rendering', truth=True, color=bool(self.watchers)) as frames:
+                beside(self._write_map)     # nothing changes the map any more
                 for session, frame in frames:
                     if self._begins_measuring(session):
                         later(self.metrics.restart)
@@ -215,7 +214,7 @@ class Replay:
         """Count a rendered frame and show it to the watchers."""
         with self.watch('measure'):
             self.metrics.update(rendering.valid, rendering.images, rendering.truth,
-                                None if codes is None else codes[rendering.voxels],
+                                None if codes is None else region_image(codes, rendering.voxels),
                                 frame.sensor if frame.has_grid else None)
         with self.watch('watch'):
             for watcher in self.watchers:

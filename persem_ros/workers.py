@@ -6,7 +6,6 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import as_completed, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager
-import ipaddress
 import multiprocessing
 import os
 from pathlib import Path
@@ -16,14 +15,13 @@ import threading
 from typing import Any, Protocol
 
 import cv2
+from persem_ros.cluster import connected
 from persem_ros.core import jit
 from persem_ros.errors import PersemError
 from tqdm import tqdm
 
 WORKER_BYTES = 1.5e9        # free memory that a worker should find
 MOST = 1 << 16              # processes, where their number is not bounded by that of the tasks
-PATIENCE = 10               # seconds for a scheduler to answer
-SAFE = 'tls', 'wss'         # protocols whose messages come from whom they claim to
 _done: Any = None           # units of work that all workers have done, in shared memory
 
 
@@ -187,53 +185,6 @@ def _on_cluster(work: Work, tasks: Sequence[Task], address: str, units: Sequence
             raise PersemError(f'--scheduler {address}: the work was lost; the workers need the '
                               'same persem_ros as here, the same paths and enough memory '
                               f'({" ".join(str(error).split())[:160]})') from None
-
-
-@contextmanager
-def connected(address: str) -> Iterator[Any]:
-    """
-    Give a client of a dask cluster.
-
-    Raises
-    ------
-    PersemError
-        Where there is no dask.distributed, no scheduler, no worker, or anybody could send them
-        messages: those are code.
-
-    """
-    try:
-        from distributed import Client
-    except ImportError as error:
-        raise PersemError(f'--scheduler needs dask.distributed ({error}); install it with: pip '
-                          "install 'persem_ros[cluster]'") from None
-    _check_safe(address)
-    try:
-        begin: Any = Client
-        client = begin(address, timeout=PATIENCE, set_as_default=False)
-    except (OSError, ValueError, TimeoutError, TypeError) as error:
-        raise PersemError(f'--scheduler {address}: no scheduler answers there '
-                          f'({" ".join(str(error).split())[:120]}); start one with: dask '
-                          'scheduler, and workers with: dask worker ADDRESS --nthreads 1') \
-            from None
-    with client:
-        if not client.scheduler_info()['workers']:
-            raise PersemError(f'--scheduler {address}: it has no workers; start some with: dask '
-                              f'worker {address} --nthreads 1')
-        yield client
-
-
-def _check_safe(address: str) -> None:
-    """Refuse an address of the network without TLS: whoever reaches it runs what he likes."""
-    protocol, _, rest = address.rpartition('://')
-    host = (rest.rpartition(':')[0] or rest).strip('[]')
-    try:
-        here = ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        here = host == 'localhost'
-    if not here and protocol not in SAFE:
-        raise PersemError(f"--scheduler {address}: dask's messages are code, and without TLS "
-                          f'anybody on the network can send them; give tls://{rest} (see '
-                          'docs/scale.md) or an address of this machine, tcp://127.0.0.1:8786')
 
 
 def _number(asked: int, tasks: int) -> int:

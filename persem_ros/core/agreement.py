@@ -13,7 +13,8 @@ GAIN = 0.2      # of the error without motion, that a unit has to explain
 SEEN = 0.02     # of the pixels, that must stay in the image to speak for a unit
 
 
-def unit_factor(depths: Mapping[int, NDArray], poses: Mapping[int, NDArray], K: NDArray,
+def unit_factor(depths: Mapping[int, NDArray[np.float64]],
+                poses: Mapping[int, NDArray[np.float64]], K: NDArray[np.float64],
                 pairs: Sequence[tuple[int, int]] | None = None,
                 factors: Sequence[float] = FACTORS) -> tuple[float, float, float]:
     """
@@ -71,8 +72,9 @@ def pairs_to_check(count: int, anchors: int = 8,
     return [(int(i), int(i) + step) for i in starts for step in steps if i + step < count]
 
 
-def reprojection_error(depth_i: NDArray, depth_j: NDArray, T_j_i: NDArray,
-                       K: NDArray) -> NDArray:
+def reprojection_error(
+        depth_i: NDArray[np.float64], depth_j: NDArray[np.float64], T_j_i: NDArray[np.float64],
+        K: NDArray[np.float64]) -> NDArray[np.float64]:
     """
     Return how badly the depth of frame i, seen from frame j, agrees with that of frame j.
 
@@ -89,7 +91,9 @@ def reprojection_error(depth_i: NDArray, depth_j: NDArray, T_j_i: NDArray,
     return np.minimum(error[~np.isnan(error)], WORST)
 
 
-def misses(depth_i: NDArray, depth_j: NDArray, T_j_i: NDArray, K: NDArray) -> NDArray:
+def misses(
+        depth_i: NDArray[np.float64], depth_j: NDArray[np.float64], T_j_i: NDArray[np.float64],
+        K: NDArray[np.float64]) -> NDArray[np.float64]:
     """
     Return the relative depth errors of frame i, seen from frame j.
 
@@ -128,15 +132,17 @@ def misses(depth_i: NDArray, depth_j: NDArray, T_j_i: NDArray, K: NDArray) -> ND
     return error
 
 
-def _turn(T: NDArray) -> NDArray:
+def _turn(T: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return a transform without its translation."""
     result = np.eye(4)
     result[:3, :3] = T[:3, :3]
     return result
 
 
-def _errors(depths: Mapping[int, NDArray], pairs: Sequence[tuple[int, int]],
-            moves: Sequence[NDArray], K: NDArray, factor: float) -> NDArray:
+def _errors(
+        depths: Mapping[int, NDArray[np.float64]], pairs: Sequence[tuple[int, int]],
+        moves: Sequence[NDArray[np.float64]], K: NDArray[np.float64], factor: float
+) -> NDArray[np.float64]:
     """Return the misses of all pairs with the depth times *factor*, one array."""
     # Relative errors are those of a motion that is smaller by as much: no image is multiplied.
     scale = np.ones((4, 4))
@@ -146,7 +152,7 @@ def _errors(depths: Mapping[int, NDArray], pairs: Sequence[tuple[int, int]],
     return np.concatenate(errors) if errors else np.empty(0)
 
 
-def _gain(errors: NDArray, still: NDArray) -> float:
+def _gain(errors: NDArray[np.float64], still: NDArray[np.float64]) -> float:
     """Return the part of the error without motion that a factor explains; -1 unseen or flat."""
     seen = np.isfinite(errors) & np.isfinite(still)
     if np.count_nonzero(seen) < max(20, SEEN * errors.size):

@@ -23,8 +23,8 @@ PACKAGE = Path(__file__).resolve().parents[1]
 WARM_UP = str(PACKAGE / 'core' / 'warmup.py')       # imports every kernel
 IMPORT = re.compile(r'^ *from (persem_ros[\w.]*) import (\([^)]*\)|.*)', re.MULTILINE)
 COMPLETE = 'complete'   # a file beside the compiled kernels, once all of them are there
-KERNELS = []            # every compiled function, for warm-up and for the test that counts them
-_pool = None
+KERNELS: list[Any] = []  # every compiled function, for warm-up and for the test that counts them
+_pool: ThreadPoolExecutor | None = None
 _threads = 0
 _own = threading.local()
 
@@ -42,12 +42,13 @@ def kernel(function: Callable[..., Any]) -> Any:
 
 def cached(function: Callable[..., Any]) -> Any:
     """Compile a function of any part of the package; the result goes to the kernels' folder."""
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = cache_folder(function.__code__.co_filename)
+    settings: Any = numba.config
+    before = settings.CACHE_DIR
+    settings.CACHE_DIR = cache_folder(function.__code__.co_filename)
     try:
         return numba.njit(cache=True, nogil=True, error_model='numpy')(function)
     finally:
-        numba.config.CACHE_DIR = before
+        settings.CACHE_DIR = before
 
 
 @functools.cache
@@ -151,7 +152,7 @@ def work_alone() -> None:
     _own.alone = True
 
 
-def split(function: Any, n: int, *arguments: Any, grain: int = 4096) -> list[None]:
+def split(function: Any, n: int, *arguments: Any, grain: int = 4096) -> list[Any]:
     """
     Call function(start, stop, *arguments) over slices of range(n), one thread a slice.
 
@@ -161,7 +162,7 @@ def split(function: Any, n: int, *arguments: Any, grain: int = 4096) -> list[Non
 
     """
     parts = 1 if getattr(_own, 'alone', False) else min(threads(), -(-n // grain))
-    if parts <= 1:
+    if parts <= 1 or _pool is None:
         return [function(0, n, *arguments)] if n else []
     edges = [n * i // parts for i in range(parts + 1)]
     jobs = [_pool.submit(function, a, b, *arguments) for a, b in zip(edges[1:-1], edges[2:])]
@@ -174,14 +175,19 @@ def keep_memory() -> None:
     Have the C library keep freed memory for the next frame instead of giving it back.
 
     A frame takes and frees some 20 MB; faulting them in anew each time was a third of the time
-    of integrating it (14.2 ms against 9.9 ms). Without glibc nothing happens.
+    of integrating it (14.2 ms against 9.9 ms). One arena for all threads, which would each keep
+    their own, and nothing that was freed before: the replay of benchmarks/run.py's big map holds
+    0.65 GB instead of 0.77. Without glibc nothing happens.
 
     """
-    M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
+    M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, M_ARENA_MAX = -1, -3, -8
     try:
-        mallopt = ctypes.CDLL(None).mallopt
+        library = ctypes.CDLL(None)
+        mallopt, malloc_trim = library.mallopt, library.malloc_trim
     except (AttributeError, OSError):
         return
+    malloc_trim(0)
+    mallopt(M_ARENA_MAX, 1)
     mallopt(M_MMAP_THRESHOLD, 1 << 25)      # glibc's largest
     mallopt(M_TRIM_THRESHOLD, 1 << 28)
 

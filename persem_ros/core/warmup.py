@@ -14,7 +14,7 @@ import numpy as np
 from persem_ros.core.frame.clear import clear
 from persem_ros.core.frame.images import placed, points
 from persem_ros.core.frame.observe import Observations, observe
-from persem_ros.core.frame.render import render, render_map, voxel_image, voxel_image_of
+from persem_ros.core.frame.render import filled, render, render_map, voxel_image, voxel_image_of
 from persem_ros.core.frame.smoothing import EmaImages
 from persem_ros.core.frame.stride import thinned
 from persem_ros.core.jit import is_complete, keep_memory, mark_complete, threads
@@ -26,7 +26,7 @@ from persem_ros.core.memory.move import moved
 from persem_ros.core.memory.paging import block_numbers
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine.job import begin_next, finish, label, refine
-from persem_ros.core.refine.regions import regions
+from persem_ros.core.refine.regions import region_image, regions
 from persem_ros.frames import Frame, pinhole
 from persem_ros.settings.config import Memory, METHODS, Refine
 
@@ -124,15 +124,16 @@ def _refined(memory: VoxelMemory) -> None:
     memory = load(moved(dump(memory), memory.frames.best + 1e-3, memory.frames.t >= 0))
     first = memory.voxels()['voxel'][0]
     memory.evidence(first)
-    regions(memory)
+    codes = regions(memory)[0]
     labelled = label(memory, 'majority', Refine())[0]
     shape = frame.depth.shape
     render(voxel_image(memory, seen, shape), labelled)
+    region_image(codes, voxel_image(memory, seen, shape))
     render_map(memory, voxel_image(memory, seen, shape), source=True)
     Changes().take(memory)
     block_numbers(memory, np.zeros((1, 3), np.int32))
     pixels = placed(frame, Memory(), memory.voxel_size, memory.origin)
-    render(voxel_image_of(memory, *pixels, shape), labelled)
+    filled(render(voxel_image_of(memory, *pixels, shape), labelled), frame.labels, Memory())
     EmaImages(0.5).update(frame.labels)
     for far in (30.0, 0.2):         # all blocks in memory, and those of a box
         clear(memory, frame, Memory(clear_after=1, clear_range=far))

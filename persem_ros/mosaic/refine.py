@@ -58,10 +58,10 @@ def refine(task: Refining, tick: Callable[..., Any] | None = None) -> dict[str, 
     began = time.perf_counter()
     config, tile = task.of.config, task.of.tile
     own, memory = task.of.read()
-    memory.rho = np.array(load_array(task.rho))     # type: ignore[assignment]
+    memory.rho = np.array(load_array(task.rho))
     numbers = block_numbers(memory, own.block_index)
     job = _job(memory, numbers, config.refine, task.fitted)
-    finish(job, *job.compute())         # type: ignore[call-arg]
+    finish(job, *job.compute())
     done = dump(memory)
     here = np.repeat(tile.holds(done.block_index), np.diff(done.block_start))
     store.save(task.of.path, replace(

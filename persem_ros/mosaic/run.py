@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from persem_ros.cluster import connected
 from persem_ros.core.jit import Announcement
 from persem_ros.core.memory.pools import SIDE
 from persem_ros.core.warmup import warm_up
@@ -28,7 +29,6 @@ from persem_ros.outputs.files import write_json, write_text
 from persem_ros.outputs.results import rundir
 from persem_ros.settings import config_file
 from persem_ros.settings.config import Config
-from persem_ros.workers import connected
 
 log = logging.getLogger(__name__)
 TILE = 64.0             # metres

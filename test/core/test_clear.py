@@ -5,8 +5,9 @@ from dataclasses import replace
 from core_worlds import examples, observations, pose, seeds
 from hypothesis import given, strategies as st
 import numpy as np
-from persem_ros.core.frame.clear import clear, warp_of
+from persem_ros.core.frame.clear import clear
 from persem_ros.core.frame.render import voxel_image
+from persem_ros.core.frame.view import warp_of
 from persem_ros.core.memory.capture import dump
 from persem_ros.core.memory.changes import Changes
 from persem_ros.core.memory.dump import load

@@ -102,6 +102,15 @@ def test_many_pairs_of_ids():
     assert metrics.result()['methods']['m']['flicker'] == 0.0
 
 
+def test_ids_that_become_more():
+    rng, frames = np.random.default_rng(4), []
+    for most in (3, 13, 14, 30, 61, 62, 63, 300, 20):       # tables of pairs of 4, 5, 6 bits; none
+        frames += sequence(rng, 2, (20, 30), (0, 1, most - 1, most, 65534 if most > 62 else 2))
+    result = measured(frames).result()
+    assert values(result) == pytest.approx(plain(frames))
+    assert values(result['regions']['boundary']) == pytest.approx(plain(frames, 'boundary'))
+
+
 def test_without_truth_only_flicker():
     frames = sequence(np.random.default_rng(3))
     metrics = Metrics(['m'])

@@ -12,10 +12,12 @@ import sys
 import core_worlds as cw
 from hypothesis import given, strategies as st
 import numpy as np
-from persem_ros.core.memory.capture import dump
+from persem_ros.core.memory.capture import dump, Parts
+from persem_ros.core.memory.evict import keep_near
 from persem_ros.core.refine.job import refine
 from persem_ros.errors import PersemError
 from persem_ros.outputs.map import store
+from persem_ros.outputs.map.rows import to_rows
 from persem_ros.settings.config import Config, updated
 from persem_ros.settings.legend import Legend, load_legend
 import pytest
@@ -101,6 +103,20 @@ def test_saved_loaded_and_continued_is_never_stopped(tmp_path_factory, world, st
     other = path.with_name('other.persem')
     store.save(other, stopped, config)
     assert path.read_bytes() == other.read_bytes()
+
+
+@pytest.mark.parametrize('voxels', [1, 100, 10 ** 6])
+def test_in_parts_it_is_the_same(memory, voxels):
+    keep_near(memory, (0.0, 0.0, 0.0), max_voxels=memory.n_voxels // 2)
+    texts = {'settings': '', 'map_frame': 'map', 'legend': ''}
+    whole, parts = (to_rows(saved, texts) for saved in (dump(memory), Parts(memory, voxels)))
+    for name, table in whole.items():
+        assert [[*map(told, row)] for row in parts[name]] == [[*map(told, row)] for row in table]
+
+
+def told(value):
+    """Return a value of a row, a view as its bytes."""
+    return bytes(value) if isinstance(value, memoryview) else value
 
 
 def test_empty_map(tmp_path):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,8 @@ from persem_ros.core.jit import inlined, kernel, split
 from persem_ros.errors import PersemError
 from persem_ros.frames import Frame, IGNORED, MAX_ID, same_aspect
 from persem_ros.settings.config import Memory
+
+Pixel = TypeVar('Pixel', bound=np.generic)
 
 
 def points(frame: Frame, settings: Memory) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
@@ -51,7 +53,7 @@ def weights(frame: Frame) -> NDArray[np.uint32] | None:
     return on_depth(frame, frame.weights, 0).reshape(-1)
 
 
-def on_depth(frame: Frame, image: NDArray, fill: int = IGNORED) -> NDArray:
+def on_depth(frame: Frame, image: NDArray[Pixel], fill: int = IGNORED) -> NDArray[Pixel]:
     """
     Return an image on the grid of the labels (H, W) on that of the depth (h, w).
 
@@ -66,7 +68,7 @@ def on_depth(frame: Frame, image: NDArray, fill: int = IGNORED) -> NDArray:
     return taken
 
 
-def on_labels(frame: Frame, image: NDArray, fill: int) -> NDArray:
+def on_labels(frame: Frame, image: NDArray[Pixel], fill: int) -> NDArray[Pixel]:
     """Return an image on the grid of the depth (h, w) on that of the labels, as on_depth()."""
     if frame.matching is None:
         return nearest(image, frame.labels.shape)
@@ -89,8 +91,8 @@ def placed(frame: Frame, settings: Memory, voxel_size: float, origin: tuple[floa
     """
     if frame.points is not None:
         return place(_cloud(frame, settings), frame.T_map_camera, voxel_size, origin, offsets)
-    depth = np.require(frame.depth, np.float64, 'CW')
-    rays = np.require(frame.camera.rays, np.float64, 'CW')
+    depth = np.require(frame.depth, np.float64, ('C', 'W'))
+    rays = np.require(frame.camera.rays, np.float64, ('C', 'W'))
     pose, base = placing(frame.T_map_camera, voxel_size, origin)
     keys = np.empty(depth.shape, np.int64)
     offsets = np.empty((0, 0), np.int32) if offsets is None else offsets.reshape(depth.shape)
@@ -103,8 +105,8 @@ def backprojected(frame: Frame, settings: Memory) -> NDArray[np.float64]:
     """Return the points alone, as in points()."""
     if frame.points is not None:
         return _cloud(frame, settings)
-    depth = np.require(frame.depth, np.float64, 'CW')
-    rays = np.require(frame.camera.rays, np.float64, 'CW')
+    depth = np.require(frame.depth, np.float64, ('C', 'W'))
+    rays = np.require(frame.camera.rays, np.float64, ('C', 'W'))
     result = np.empty(depth.shape + (3,))
     split(backproject, depth.shape[0], depth, rays, float(settings.min_depth),
           float(settings.max_depth), result, grain=64)
@@ -113,12 +115,13 @@ def backprojected(frame: Frame, settings: Memory) -> NDArray[np.float64]:
 
 def _cloud(frame: Frame, settings: Memory) -> NDArray[np.float64]:
     """Return the points of a labelled cloud, (h * w, 3); NaN where they are out of range."""
+    assert frame.points is not None, 'a cloud has points'
     inside = (frame.depth >= settings.min_depth) & (frame.depth <= settings.max_depth) \
         & (frame.depth > 0.0)
     return np.where(inside[..., None], frame.points, np.nan).reshape(-1, 3)
 
 
-def resampled(labels: NDArray[np.int32], shape: tuple[int, int]) -> NDArray[np.int32]:
+def resampled(labels: NDArray[Pixel], shape: tuple[int, int]) -> NDArray[Pixel]:
     """
     Return *labels* on a grid of another size and the same aspect ratio, nearest pixel.
 
@@ -145,16 +148,16 @@ def check_aspect(labels: tuple[int, int], depth: tuple[int, int]) -> None:
 def counted(labels: NDArray[np.int32], settings: Memory) -> NDArray[np.int32]:
     """Return a copy of *labels*, int32, with -1 for each pixel that does not count."""
     table = _table(tuple(settings.ignore_labels), tuple(settings.dynamic_labels))
-    labels = np.require(labels, np.int32, 'CW')
+    labels = np.require(labels, np.int32, ('C', 'W'))
     result = np.empty(labels.shape, np.int32)
     split(_count, labels.shape[0], labels, table, result, grain=64)
     return result
 
 
-_tables = {}
+_tables: dict[tuple[int, ...], NDArray[np.int32]] = {}
 
 
-def _table(ignored: tuple[int, int], dynamic: tuple[int]) -> NDArray[np.int32]:
+def _table(ignored: tuple[int, ...], dynamic: tuple[int, ...]) -> NDArray[np.int32]:
     """Return a look-up table id -> id or -1 for 0 .. 65534."""
     key = ignored + dynamic
     if key not in _tables:

@@ -50,16 +50,16 @@ class Observations:
 
     """
 
-    voxels: np.ndarray
-    labels: np.ndarray
-    confidences: np.ndarray
-    where: np.ndarray
-    ids: np.ndarray
+    voxels: NDArray[np.int32]
+    labels: NDArray[np.uint16]
+    confidences: NDArray[np.float32]
+    where: NDArray[np.int32]
+    ids: NDArray[np.uint16]
     stamp: int
-    T_map_sensor: np.ndarray
+    T_map_sensor: NDArray[np.float64]
     sensor: str
-    offsets: np.ndarray = None
-    T_body_sensor: np.ndarray | None = None
+    offsets: NDArray[np.uint8] | None = None
+    T_body_sensor: NDArray[np.float64] | None = None
 
 
 def observe(points: NDArray[np.float64], labels: NDArray[np.int32],
@@ -113,11 +113,11 @@ def gather(keys: NDArray[np.int64], base: NDArray[np.int64], labels: NDArray[np.
     if offsets is None or len(keys) > MOST_OFFSETS:
         offsets = np.empty(0, np.int32)
     weights = np.empty(0, np.uint32) if weights is None else \
-        np.require(weights, np.uint32, 'CW').reshape(-1)
-    labels = np.require(labels, np.int32, 'CW').reshape(-1)
+        np.require(weights, np.uint32, ('C', 'W')).reshape(-1)
+    labels = np.require(labels, np.int32, ('C', 'W')).reshape(-1)
     where = np.empty(len(keys), np.int32)
-    halves = sum(split(_halves, 2, keys, base, labels, offsets, int(min_pixels), where, weights,
-                       grain=1), [])
+    halves: list[Half] = sum(split(_halves, 2, keys, base, labels, offsets, int(min_pixels), where,
+                                   weights, grain=1), [])
     voxels, best, confidence, means = (np.concatenate(parts)
                                        for parts in list(zip(*halves))[:4])
     split(_join, len(where), len(halves[0][0]), where, grain=65536)
@@ -145,7 +145,7 @@ def place(
         The sensor's own voxel.
 
     """
-    points = np.require(points, np.float64, 'CW').reshape(-1, 3)
+    points = np.require(points, np.float64, ('C', 'W')).reshape(-1, 3)
     pose, base = placing(T_map_sensor, voxel_size, origin)
     keys = np.empty(len(points), np.int64)
     offsets = np.empty(0, np.int32) if offsets is None else offsets
@@ -219,14 +219,15 @@ TALLY = np.dtype([('key', 'i8'), ('id', 'i4'), ('count', 'i4'), ('more', 'i4'), 
                   ('y', 'u4'), ('z', 'u4')])
 EXTRA = np.dtype([('id', 'i4'), ('count', 'i4'), ('more', 'i4')])
 # The same where points have weights, whose sums are larger.
-WEIGHED = np.dtype([(name, 'i8' if name == 'count' else kind) for name, kind in TALLY.descr])
+WEIGHED = np.dtype([(name, 'i8' if name == 'count' else kind) for name, kind, *_ in TALLY.descr])
 WEIGHED_EXTRA = np.dtype([('id', 'i4'), ('count', 'i8'), ('more', 'i4')])
 ONE = 1 << 16       # the weight of a label that is certain
+# Voxels, ids, confidences, offsets, and which ids there are.
+Half = tuple[NDArray[np.int32], NDArray[np.uint16], NDArray[np.float32], NDArray[np.uint8],
+             NDArray[np.uint8]]
 
 
-def _halves(
-        begin: int, end: int, *arguments: Any
-) -> list[tuple[NDArray[np.int32], NDArray[np.uint16], NDArray[np.float32], NDArray[np.uint8]]]:
+def _halves(begin: int, end: int, *arguments: Any) -> list[Half]:
     """Return what group() returns for the halves begin .. end of the world."""
     keys, weights = arguments[0], arguments[-1]
     kinds = (WEIGHED, WEIGHED_EXTRA) if len(weights) else (TALLY, EXTRA)

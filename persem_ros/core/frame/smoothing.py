@@ -37,7 +37,7 @@ class EmaImages:
             UNKNOWN where nothing was ever seen.
 
         """
-        labels = np.require(labels, np.int32, 'CW')
+        labels = np.require(labels, np.int32, ('C', 'W'))
         if self._ids.shape[1:] != labels.shape:
             self._ids = np.full((2,) + labels.shape, -1, np.int32)
             self._weights = np.zeros((2,) + labels.shape)

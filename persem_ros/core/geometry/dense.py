@@ -44,11 +44,12 @@ class Tables(NamedTuple):
 
 def tables_of(parameters: Parameters, settings: Any) -> Tables:
     """Return the Tables of parameters; settings are those of refine.geometry."""
-    ratios = [np.log(parameters.shares(k, settings.prior) / parameters.pi)
-              if counts(settings.groups, k) else np.zeros_like(parameters.groups[k])
-              for k in range(3)]
+    fine, coarse, shifted = (
+        (np.log(parameters.shares(k, settings.prior) / parameters.pi)
+         if counts(settings.groups, k) else np.zeros_like(parameters.groups[k])).reshape(-1)
+        for k in range(3))
     return Tables(np.log(parameters.pi), np.log(parameters.theta + 1e-6).T.reshape(-1),
-                  *(ratio.reshape(-1) for ratio in ratios), parameters.rho, settings.weight)
+                  fine, coarse, shifted, parameters.rho, settings.weight)
 
 
 class Dense:
@@ -143,7 +144,8 @@ class Dense:
                   self.blocks, taken.block, taken.cell, taken.row, where, before,
                   float(self.settings.smoothing) if number else 0.0, after)
             before, after = after, before
-        return where, *(Q.reshape(-1, len(votes.classes))[:-1] for Q in (before, after))
+        last, one_before = (Q.reshape(-1, len(votes.classes))[:-1] for Q in (before, after))
+        return where, last, one_before
 
 
 def _working(function: Any) -> Any:

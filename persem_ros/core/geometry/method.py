@@ -79,13 +79,15 @@ def relabel(memory: Any, taken: Any, settings: Any,
     """
     constants = settings.geometry
     if not len(taken.number):
-        return Labelled(*(np.zeros(0, t) for t in ('u2', 'u1', 'f4')), parameters)
+        return Labelled(np.zeros(0, np.uint16), np.zeros(0, np.uint8), np.zeros(0, np.float32),
+                        parameters)
     votes = take_votes(memory, taken, constants.directions, taken.relief is not None,
                        None if parameters is None else parameters.classes)
     places = places_of(memory, taken, settings)
     cells = cells_at(places.ground, constants.cell) if parameters is None else parameters.cells
-    model = model_of(memory.m.blocks, taken, votes, groups_in(places, cells, constants.cell),
-                     cells, constants, parameters)
+    # Any: it is of the kind of its parameters, dense or sparse.
+    model: Any = model_of(memory.m.blocks, taken, votes,
+                          groups_in(places, cells, constants.cell), cells, constants, parameters)
     if parameters is None:
         parameters = fit(model, constants.rounds)
     sums = model.round(parameters, taken.swept) if taken.swept else None

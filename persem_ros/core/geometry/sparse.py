@@ -57,13 +57,13 @@ class SparseSums:
     def rows(self) -> NDArray[np.float64]:
         """Return the sum of C(z, c) over c, (K,)."""
         keys, values = self.confusion
-        return np.bincount(keys // len(self.mass), values / TERM, len(self.mass))
+        return _sums(keys // len(self.mass), values / TERM, len(self.mass))
 
     def alike(self) -> NDArray[np.float64]:
         """Return the chance that two independent looks at each class say the same, (K,)."""
         keys, values = self.confusion
         z = keys // len(self.mass)
-        return np.bincount(z, (values / TERM / self.rows()[z]) ** 2, len(self.mass))
+        return _sums(z, (values / TERM / self.rows()[z]) ** 2, len(self.mass))
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,7 +253,7 @@ class Sparse:
             values + known.a * (OWN * (z == c) + (1.0 - OWN) * known.f[c]))
             / (known.rows[z] + known.a))
         fine = (known.fine + prior * pi) / (known.fine.sum(axis=1)[:, None] + prior)
-        logs = []
+        logs: list[NDArray[Any]] = []
         chosen = self.settings.groups
         if not counts(chosen, 0):
             fine = np.tile(pi, (len(fine), 1))
@@ -265,8 +265,11 @@ class Sparse:
             ratio = (R + prior * pi[z]) / (total[np.maximum(group_keys, 0) // K] + prior) / pi[z]
             logs += [group_keys, np.log(np.where(group_keys == FREE, 1.0, ratio)),
                      np.log(prior / (total + prior))]
+        coarse_keys, coarse_values, coarse_rest, shifted_keys, shifted_values, shifted_rest = logs
         return SparseTables(np.log(pi), np.log(fine / pi), keys, np.log(theta + 1e-6),
-                            known.rows, known.f, known.a, *logs, known.rho, self.settings.weight)
+                            known.rows, known.f, known.a, coarse_keys, coarse_values, coarse_rest,
+                            shifted_keys, shifted_values, shifted_rest, known.rho,
+                            self.settings.weight)
 
 
 def estimate_sparse(sums: SparseSums, n: int, classes: NDArray[np.uint16],
@@ -279,11 +282,17 @@ def estimate_sparse(sums: SparseSums, n: int, classes: NDArray[np.uint16],
     groups, totals = [], []
     for counted, known in zip((sums.coarse, sums.shifted), cells):
         groups.append(entries_of(counted[0], counted[1] / TERM))
-        totals.append(np.bincount(counted[0] // K, counted[1] / TERM, known.number * KINDS + 1))
+        totals.append(_sums(counted[0] // K, counted[1] / TERM, known.number * KINDS + 1))
     return SparseParameters(
         classes, cells, pi / pi.sum(), rho, entries_of(keys, values / TERM), rows,
         np.bincount(keys % K, values / TERM, K) / total, shrink * total / K, sums.fine / TERM,
         (groups[0], groups[1]), (totals[0], totals[1]))
+
+
+def _sums(places: NDArray[np.int64], weights: NDArray[np.float64], n: int) -> NDArray[np.float64]:
+    """Return the sums (n,) of weights by place."""
+    sums: Any = np.bincount(places, weights, n)     # by its stubs whole numbers
+    return sums
 
 
 def _summed(parts: list[Any]) -> SparseSums:

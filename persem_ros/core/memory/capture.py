@@ -10,8 +10,9 @@ them as far as the copied records say.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,41 +93,16 @@ class Capture:
         self._slices.append(_copied(memory, due, counts))
         self._copied[due] = memory.clock + 1
         if ended:
-            self._small = (
-                memory.session, memory.m.starts.copy(), memory.m.changes.copy(),
-                memory.seen_ids.copy(), None if memory.rho is None else memory.rho.copy(),
-                memory.frames.copy(), *habits_of(memory))
+            self._small = _small_of(memory)
             self.moment = memory.clock
         return bool(ended)
 
     def dump(self) -> MemoryDump:
         """Return the MemoryDump of the captured blocks."""
-        memory = self._memory
         slices, self._slices = self._slices, []
-        block = np.concatenate([one.blocks for one in slices])
-        counts = np.concatenate([one.counts for one in slices])
-        start = np.concatenate([[0], np.cumsum(counts)])
-        last = len(block) - 1 - np.unique(block[::-1], return_index=True)[1]    # newest copies
-        index = memory.m.blocks['index'][block[last]]
-        order = sort_order(index)
-        index, last = index[order], last[order]
-        rows = ranges(start[last], counts[last])
-        joined = {name: np.concatenate([getattr(one, name) for one in slices])[rows]
-                  for name in ('cell', 'records', 'posterior', 'dirty', 'passed', 'passed_at')}
-        records = joined['records']
-        evidence = _evidence(slices, rows)
-        history_start, *history = read_histories(memory, records)
+        saved = _dump_of(self._memory, slices, self._small)
         self.close()
-        session, starts, changes, seen_ids, rho, frames, habits, by = self._small
-        return MemoryDump(
-            index, np.concatenate([[0], np.cumsum(counts[last])]),
-            joined['cell'].astype(np.uint16),
-            records['n'], records['switches'], records['label'], records['majority'],
-            records['last'], records['first_label'], records['source'], joined['dirty'],
-            records['gone'], joined['posterior'], joined['passed'], joined['passed_at'],
-            *evidence, history_start, *history, memory.voxel_size,
-            memory.origin, memory.kept_history, session, starts, changes, seen_ids, rho, frames,
-            habits, by)
+        return saved
 
     def close(self) -> None:
         """Read nothing more of the map."""
@@ -153,6 +129,81 @@ def dump(memory: VoxelMemory) -> MemoryDump:
     return capture.dump()
 
 
+class Parts:
+    """
+    A map that nothing changes meanwhile, a part at a time: a whole dump is as large as the map.
+
+    Parameters
+    ----------
+    memory : VoxelMemory
+    voxels : int
+        Of a part, about.
+
+    Attributes
+    ----------
+    head : MemoryDump
+        All but the blocks.
+    blocks, voxels, observations : int
+        How many there are in all.
+
+    """
+
+    def __init__(self, memory: VoxelMemory, voxels: int = SLICE) -> None:
+        self._memory, self._most = memory, voxels
+        blocks = memory.m.blocks[:memory.n_blocks]
+        there = np.flatnonzero(blocks['near'][:, 13] > 0)
+        self._numbers = there[sort_order(blocks['index'][there])]
+        self._counts = blocks['count'][self._numbers].astype(np.int64)
+        self._small = _small_of(memory)
+        self.blocks, self.voxels = len(there), int(self._counts.sum())
+        self.observations = int(
+            memory.m.voxels['n'][memory.listing(there)[2]].sum(dtype=np.int64))
+        self.head = self._dump(0, 0)
+
+    def __iter__(self) -> Iterator[MemoryDump]:
+        """Yield the blocks in their order."""
+        cuts = np.flatnonzero(np.diff(np.cumsum(self._counts) // self._most)) + 1
+        for begin, end in zip([0, *cuts], [*cuts, self.blocks]):
+            yield self._dump(begin, end)
+
+    def _dump(self, begin: int, end: int) -> MemoryDump:
+        blocks, counts = self._numbers[begin:end], self._counts[begin:end]
+        return _dump_of(self._memory, [_copied(self._memory, blocks, counts)], self._small)
+
+
+def _small_of(memory: VoxelMemory) -> tuple[Any, ...]:
+    """Return copies of what a MemoryDump has besides blocks, voxel size, origin and bound."""
+    return (memory.session, memory.m.starts.copy(), memory.m.changes.copy(),
+            memory.seen_ids.copy(), None if memory.rho is None else memory.rho.copy(),
+            memory.frames.copy(), *habits_of(memory))
+
+
+def _dump_of(memory: VoxelMemory, slices: list[_Slice], small: tuple[Any, ...]) -> MemoryDump:
+    """Return the MemoryDump of the blocks of slices; of one that is there twice the last copy."""
+    block = np.concatenate([one.blocks for one in slices])
+    counts = np.concatenate([one.counts for one in slices])
+    start = np.concatenate([[0], np.cumsum(counts)])
+    last = len(block) - 1 - np.unique(block[::-1], return_index=True)[1]    # newest copies
+    index = memory.m.blocks['index'][block[last]]
+    order = sort_order(index)
+    index, last = index[order], last[order]
+    rows = ranges(start[last], counts[last])
+    joined = {name: np.concatenate([getattr(one, name) for one in slices])[rows]
+              for name in ('cell', 'records', 'posterior', 'dirty', 'passed', 'passed_at')}
+    records = joined['records']
+    evidence_start, evidence_class, evidence_sum = _evidence(slices, rows)
+    history_start, label, confidence, frame, offset = read_histories(memory, records)
+    session, starts, changes, seen_ids, rho, frames, habits, by = small
+    return MemoryDump(
+        index, np.concatenate([[0], np.cumsum(counts[last])]), joined['cell'].astype(np.uint16),
+        records['n'], records['switches'], records['label'], records['majority'],
+        records['last'], records['first_label'], records['source'], joined['dirty'],
+        records['gone'], joined['posterior'], joined['passed'], joined['passed_at'],
+        evidence_start, evidence_class, evidence_sum, history_start, label, confidence, frame,
+        offset, memory.voxel_size, memory.origin, memory.kept_history, session, starts, changes,
+        seen_ids, rho, frames, habits, by)
+
+
 def _copied(memory: VoxelMemory, blocks: NDArray[np.int64], counts: NDArray[np.int64]) -> _Slice:
     """Return a slice of the given blocks."""
     block, cell, number = memory.listing(blocks)
@@ -160,9 +211,10 @@ def _copied(memory: VoxelMemory, blocks: NDArray[np.int64], counts: NDArray[np.i
     dirty = memory.m.blocks['changed'][block, cell >> 3] >> (cell & 7).astype(np.uint8) & 1
     posterior = np.where(beliefs['label'] == records['label'], beliefs['posterior'],
                          np.float32(0))
-    return _Slice(blocks, counts, cell, records, posterior, dirty,
-                  *looks_through(memory, number, records['n']),
-                  *evidence_of_voxels(memory, number))
+    passed, passed_at = looks_through(memory, number, records['n'])
+    start, classes, sums = evidence_of_voxels(memory, number)
+    return _Slice(blocks, counts, cell, records, posterior, dirty, passed, passed_at, start,
+                  classes, sums)
 
 
 def _evidence(slices: list[_Slice], rows: NDArray[np.int64],

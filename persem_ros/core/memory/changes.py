@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,7 +37,7 @@ class Changed:
 
     index: NDArray[np.int32]
     counts: NDArray[np.int64]
-    columns: dict[str, NDArray]
+    columns: dict[str, NDArray[Any]]
     forgotten: NDArray[np.int32]
     left: NDArray[np.int32]
     anew: bool
@@ -101,11 +102,12 @@ class Changes:
             place[found] = np.arange(len(found))
             counts = np.bincount(place[listed[0]], minlength=len(found))
         gone, self.gone = self.gone, []
-        return Changed(
-            memory.m.blocks['index'][found], counts, memory.columns_of(*listed),
-            *(np.concatenate([np.empty((0, 3), np.int32), *(index for kept, index in gone
-                                                            if kept == wanted)])
-              for wanted in (False, True)), anew, complete)
+        forgotten, left = (
+            np.concatenate([np.empty((0, 3), np.int32), *(index for kept, index in gone
+                                                          if kept == wanted)])
+            for wanted in (False, True))
+        return Changed(memory.m.blocks['index'][found], counts, memory.columns_of(*listed),
+                       forgotten, left, anew, complete)
 
     def close(self) -> None:
         """Begin anew with the next take()."""

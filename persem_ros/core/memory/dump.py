@@ -110,13 +110,13 @@ class MemoryDump(Blocks):
     """
 
     voxel_size: float
-    origin: tuple
+    origin: tuple[float, float, float]
     max_history: int
     session: int
-    starts: np.ndarray
-    changes: np.ndarray
-    seen_ids: np.ndarray
-    rho: object
+    starts: NDArray[np.int64]
+    changes: NDArray[np.int64]
+    seen_ids: NDArray[np.uint8]
+    rho: NDArray[np.float64] | None
     frames: FrameTable
     habits: dict[str, NDArray[Any]] = field_of(default_factory=dict)
     fitted_by: Optional[tuple[Any, ...]] = None
@@ -211,7 +211,9 @@ def looks_through(memory: VoxelMemory, number: NDArray[np.int64], n: NDArray[np.
     return found['count'], found['second']
 
 
-def read_histories(memory: VoxelMemory, records: NDArray[np.void]) -> tuple[NDArray, ...]:
+def read_histories(memory: VoxelMemory, records: NDArray[np.void]) -> tuple[
+        NDArray[np.int64], NDArray[np.uint16], NDArray[np.float32], NDArray[np.int32],
+        NDArray[np.uint8]]:
     """
     Return the histories of voxels as their (copied) records have them.
 
@@ -229,10 +231,11 @@ def read_histories(memory: VoxelMemory, records: NDArray[np.void]) -> tuple[NDAr
         stored = np.minimum(stored, memory.kept_history)
     start = np.zeros(len(records) + 1, np.int64)
     np.cumsum(stored, out=start[1:])
-    history = tuple(np.empty(start[-1], t) for t in (np.uint16, np.float32, np.int32))
-    where = np.empty((start[-1], 3), np.uint8)
-    _read_histories(memory.m.links, memory.m.offsets, records, start, *history, where)
-    return start, *history, where
+    labels, confidences = np.empty(start[-1], np.uint16), np.empty(start[-1], np.float32)
+    frames, where = np.empty(start[-1], np.int32), np.empty((start[-1], 3), np.uint8)
+    _read_histories(memory.m.links, memory.m.offsets, records, start, labels, confidences, frames,
+                    where)
+    return start, labels, confidences, frames, where
 
 
 def habits_of(

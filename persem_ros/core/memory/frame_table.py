@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 import hashlib
+from typing import Any
 import uuid
 
 import numpy as np
@@ -259,7 +260,7 @@ def session_uuid(*content: object) -> str:
     return str(uuid.UUID(bytes=digest.digest()[:16], version=5))
 
 
-def _longer(column: NDArray, rows: int) -> NDArray:
+def _longer(column: NDArray[Any], rows: int) -> NDArray[Any]:
     """Return a copy of a column with room for *rows* rows."""
     fresh = sparse_zeros((max(rows, FEW), *column.shape[1:]), column.dtype)
     fresh[:len(column)] = column

@@ -123,7 +123,8 @@ class Store:
         self.capacity['voxels'] = min(self.capacity['voxels'], len(self.beliefs), len(self.voted),
                                       len(self.passed))
         self.arrays = Pools(
-            *self._pools.values(), _reserve(OFFSETS, memory // 2),
+            self._pools['blocks'], self._pools['voxels'], self._pools['links'],
+            self._pools['spills'], _reserve(OFFSETS, memory // 2),
             _reserve(STAMP, self.capacity['blocks'] * STAMP.itemsize),
             _reserve(np.dtype('u4'), memory // 16),
             _reserve(np.dtype('u4'), memory // 16), np.zeros(15, np.int64),

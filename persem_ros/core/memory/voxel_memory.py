@@ -48,13 +48,15 @@ class VoxelMemory:
     def __init__(self, voxel_size: float, origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
                  max_history: int = 0) -> None:
         self.voxel_size = float(voxel_size)
-        self.origin = tuple(float(x) for x in origin)
+        x, y, z = map(float, origin)
+        self.origin = x, y, z
         self.max_history = int(max_history)
         self.keeps_all = False      # max_history bounds only what a refinement reads
         self.session = 0
         self.frames = FrameTable()
         self.seen_ids = np.zeros(65536, np.uint8)   # ids of all counted pixels (section 4)
-        self.rho = None             # class volatility of the last full refinement
+        # Class volatility of the last full refinement.
+        self.rho: NDArray[np.float64] | None = None
         self.refined_with = None    # settings of the last refinement; None: visit all next time
         self.refinements = 0        # under way
         self.captures: set[Capture] = set()     # under way
@@ -72,8 +74,10 @@ class VoxelMemory:
         self.n_gone = 0             # voxels that moved away so far; 0: no record says gone
         self.some_passed = False    # whether any record of store.passed is in use
         self.voted_ids = np.zeros(65536, np.uint8)      # ids of observations
-        self.habits = {}            # the same as arrays, as a file had them, until needed
-        self.fitted_by = None       # refine.up and values of refine.geometry it was fitted with
+        # The same as arrays, as a file had them, until needed.
+        self.habits: dict[str, NDArray[Any]] = {}
+        # refine.up and values of refine.geometry it was fitted with.
+        self.fitted_by: tuple[Any, ...] | None = None
         self.tally = None           # core.geometry.kept.Tally of the sweep under way
         self.known_ids = np.zeros(65536, np.uint8)      # those that self.geometry was fitted to
         self.voted_by = -1          # directions that store.voted counts by
@@ -198,12 +202,12 @@ class VoxelMemory:
         else:       # of those that were let go, 'count' has another meaning
             live = self.m.blocks['near'][blocks, 13] > 0
             size = int(self.m.blocks['count'][blocks][live].sum(dtype=np.int64))
-        lists = tuple(np.empty(size, np.int64) for _ in range(3))
-        list_voxels(self.m.blocks, blocks, *lists)
+        block, cell, number = (np.empty(size, np.int64) for _ in range(3))
+        list_voxels(self.m.blocks, blocks, block, cell, number)
         if present and self.n_gone:
-            here = self.m.voxels['gone'][lists[2]] == 0
-            lists = tuple(column[here] for column in lists)
-        return lists
+            here = self.m.voxels['gone'][number] == 0
+            return block[here], cell[here], number[here]
+        return block, cell, number
 
     def voxels(self) -> dict[str, Any]:
         """

@@ -66,7 +66,7 @@ def explain(memory: VoxelMemory, voxel: NDArray[np.int32], settings: Refine) -> 
     n, hard, soft = support(memory, voxel, settings.neighbours)
     rho = memory.volatility() if memory.rho is None else memory.rho
     steps, replayed = replay(*memory.history(voxel), rho, settings)
-    trace = {
+    trace: dict[str, Any] = {
         'observations': int(record['n']),
         'recurrent': int(record['n']) >= settings.min_observations,
         'majority': majority, 'evidence': evidence, 'shares': shares, 'neighbours': n,
@@ -151,7 +151,9 @@ def support(
     around = (np.asarray(voxel) + offsets).astype(np.int32)
     numbers = memory.find(around)
     numbers[memory.m.voxels['gone'][numbers] > 0] = -1      # a -1 stays one
-    hard, soft, n = {}, {}, int(np.count_nonzero(numbers >= 0))
+    hard: dict[int, int] = {}
+    soft: dict[int, float] = {}
+    n = int(np.count_nonzero(numbers >= 0))
     for index, number in zip(around, numbers):
         if number < 0:
             continue

@@ -40,15 +40,15 @@ class Job:
 
     """
 
-    memory: object
-    settings: object
+    memory: VoxelMemory
+    settings: Refine
     snapshot: snapshot.Snapshot
-    rho: np.ndarray
+    rho: NDArray[np.float64]
     n_ids: int
-    parameters: object
-    sweep: Sweep = None
+    parameters: Any
+    sweep: Sweep | None = None
 
-    def compute(self) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
+    def compute(self) -> Labelled:
         """Return the core.geometry.method.Labelled of the snapshot's refined rows."""
         if self.sweep is not None:
             self.sweep.prepare()
@@ -99,6 +99,7 @@ def begin(memory: VoxelMemory, settings: Refine, full: bool = True) -> Job:
         taken = snapshot.take(memory, None if everywhere else settings.neighbours)
     snapshot.settle(memory)
     memory.refinements += 1
+    assert memory.rho is not None, 'it was taken above'
     return Job(memory, settings, taken, memory.rho, number_of_ids(memory), memory.geometry)
 
 
@@ -168,6 +169,7 @@ def refine_all(memory: VoxelMemory, settings: Refine, max_voxels: int = 0) -> It
         raise PersemError(f'refine.method {settings.method} needs the whole map in memory; choose '
                           'another method, or go without map.attached')
     _take_rho(memory)
+    assert pager is not None and memory.rho is not None, 'of a map that is paged'
     snapshot.settle(memory)
     blocks = memory.m.blocks
     here = blocks['index'][:memory.n_blocks][blocks['near'][:memory.n_blocks, 13] > 0]
@@ -311,7 +313,7 @@ def label(
 def labelled(
         memory: VoxelMemory, taken: Snapshot, method: str, settings: Refine,
         rho: NDArray[np.float64], n_ids: int, parameters: Any = None
-) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
+) -> Labelled:
     """Return the core.geometry.method.Labelled of a snapshot's refined rows by *method*."""
     if method == 'geometry':
         return relabel(memory, taken, settings, parameters)

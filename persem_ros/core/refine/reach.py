@@ -93,7 +93,8 @@ def _part(memory: Any, settings: Any, change: Change, dirty: NDArray[np.int64],
         wanted[numbers] = rows[numbers] & bits[numbers]
         end = snapshot.list_marked(blocks, numbers, wanted, *lists, end)
         ends.append(end)
-    taken = snapshot.copied(memory, *(column[:end] for column in lists), ends[1], shares=False)
+    block, cell, number = (column[:end] for column in lists)
+    taken = snapshot.copied(memory, block, cell, number, ends[1], shares=False)
     return replace(taken, relief=memory.relief, reshaped=_reshaped(near, taken), swept=ends[0])
 
 
@@ -131,7 +132,8 @@ def surrounded(memory: Any, settings: Any, numbers: NDArray[np.int64], rings: in
         rows[some] &= bits[some]
         end = snapshot.list_marked(blocks, some, rows, *lists, end)
         ends.append(end)
-    taken = snapshot.copied(memory, *(column[:end] for column in lists), ends[0], shares=False)
+    block, cell, number = (column[:end] for column in lists)
+    taken = snapshot.copied(memory, block, cell, number, ends[0], shares=False)
     tile, ground = sparse_zeros(n, np.int32), None
     if columns is not None and end:
         ground = columns.ground(columns_of(upright(taken.index, up)), settings.geometry.window)

@@ -45,6 +45,20 @@ def regions(
     return codes, entropy, rate
 
 
+def region_image(codes: NDArray[np.uint8], voxels: NDArray[np.int32]) -> NDArray[np.uint8]:
+    """Return the codes of a voxel image (h, w), -1 for no voxel: (h, w) uint8, 0 for none."""
+    image = np.empty(voxels.shape, np.uint8)
+    split(_look_up, voxels.size, codes, voxels.reshape(-1), image.reshape(-1), grain=1 << 20)
+    return image
+
+
+@kernel
+def _look_up(begin, end, codes, voxels, image):
+    """Write the code of each pixel's voxel (half the time of indexing by NumPy)."""
+    for p in range(begin, end):
+        image[p] = codes[voxels[p]] if voxels[p] >= 0 else 0
+
+
 @kernel
 def _classify(begin, end, blocks, voxels, block, cell, number, start, shares, neighbours, codes,
               entropy, rate):

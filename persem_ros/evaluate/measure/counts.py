@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.refine.regions import REGIONS
-from persem_ros.outputs.results.tally import CODES, codes_of, EVERYWHERE
+from persem_ros.outputs.results.counting import CODES
+from persem_ros.outputs.results.tally import codes_of, EVERYWHERE
 
 PLACES = (EVERYWHERE, *REGIONS)     # where is measured; the order of all arrays by region
 ROOM = 16                           # classes at first; doubled when there are more

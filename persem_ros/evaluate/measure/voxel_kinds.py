@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.jit import kernel
-from persem_ros.outputs.results.tally import CODES
+from persem_ros.outputs.results.counting import CODES
 
 NOWHERE = 0         # the kind of pixels whose voxel is unknown
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import fields
+from itertools import chain
 import struct
 from typing import Any
 import zlib
 
 import numpy as np
 from numpy.typing import NDArray
+from persem_ros.core.memory.capture import Parts
 from persem_ros.core.memory.dump import Blocks, MemoryDump
 from persem_ros.core.memory.frame_table import FrameTable, Session
 from persem_ros.core.memory.pools import CELLS
@@ -20,22 +22,29 @@ from persem_ros.outputs.map.habits import from_blob, to_blob
 from persem_ros.outputs.map.tables import AXES, COLUMNS, COUNTS, EVIDENCE, HISTORY, SPARSE, VOXEL
 
 
-def to_rows(saved: MemoryDump, texts: dict[str, str]) -> dict[str, Any]:
+def to_rows(saved: MemoryDump | Parts, texts: dict[str, str]) -> dict[str, Any]:
     """
     Return {table: iterable of rows} of a map file, in the order of ORDER.
 
     Parameters
     ----------
-    saved : persem_ros.core.memory.dump.MemoryDump
-        The map.
+    saved : MemoryDump or Parts
+        The map; parts of it are copied as their rows are asked for.
     texts : dict
         settings, map_frame and legend, for the table about.
 
     """
-    about = {**texts, 'session': saved.session, 'blocks': len(saved.block_index),
-             'voxels': len(saved.cell),
-             'observations': int(saved.observations.sum(dtype=np.int64))}
-    return whole_rows(saved, about, list(frame_rows(saved.frames)), block_rows(saved))
+    if isinstance(saved, Parts):
+        head = saved.head
+        blocks: Iterable[tuple[Any, ...]] = chain.from_iterable(map(block_rows, saved))
+        sizes = saved.blocks, saved.voxels, saved.observations
+    else:
+        head, blocks = saved, block_rows(saved)
+        sizes = (len(saved.block_index), len(saved.cell),
+                 int(saved.observations.sum(dtype=np.int64)))
+    about = {**texts, 'session': head.session,
+             **dict(zip(('blocks', 'voxels', 'observations'), sizes))}
+    return whole_rows(head, about, list(frame_rows(head.frames)), blocks)
 
 
 def whole_rows(saved: MemoryDump, about: dict[str, Any], frames: Iterable[Any],

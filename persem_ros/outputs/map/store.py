@@ -21,7 +21,7 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.memory.capture import dump
+from persem_ros.core.memory.capture import Parts
 from persem_ros.core.memory.dump import Blocks, load as load_memory, MemoryDump
 from persem_ros.errors import PersemError
 from persem_ros.guard.database import (
@@ -126,7 +126,7 @@ def save(path: Path | str, memory: VoxelMemory | MemoryDump, config: Config,
     path : str or Path
         The file; an older one is replaced when the new one is whole and on the disk.
     memory : VoxelMemory or MemoryDump
-        The map; a dump may be saved beside the mapping.
+        The map, which nothing may change meanwhile; a dump may be saved beside the mapping.
     config : persem_ros.settings.config.Config
         Settings in force.
     legend : persem_ros.settings.legend.Legend, optional
@@ -138,7 +138,7 @@ def save(path: Path | str, memory: VoxelMemory | MemoryDump, config: Config,
         When the folder cannot be written or the disk is full.
 
     """
-    saved = memory if isinstance(memory, MemoryDump) else dump(memory)
+    saved = memory if isinstance(memory, MemoryDump) else Parts(memory)
     rows = to_rows(saved, {'settings': config_file.to_yaml(config),
                            'map_frame': config.frames.map,
                            'legend': legend.to_yaml() if legend is not None else ''})

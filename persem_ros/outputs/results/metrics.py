@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-import functools
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -12,7 +11,8 @@ from persem_ros.core.jit import kernel
 from persem_ros.core.refine.regions import REGIONS
 from persem_ros.errors import PersemError
 from persem_ros.frames import UNKNOWN
-from persem_ros.outputs.results.tally import CODES, codes_of, EVERYWHERE, percent, Tally
+from persem_ros.outputs.results.counting import CODES, count_keys, counted, LANES
+from persem_ros.outputs.results.tally import codes_of, EVERYWHERE, percent, Tally
 
 TRUTH = 'truth'         # the truth measured against itself: its flicker is the floor
 
@@ -200,28 +200,20 @@ def valid_pixels(
     """
     shape = np.shape(depth)
     depth = _row(depth, np.float64)
-    table = _ignoring(tuple(ignore_labels))
+    given = [_flat(labels, shape, 'labels')] + (
+        [] if truth is None else [_flat(truth, shape, 'truth')])
     valid = np.empty(depth.size, np.bool_)
-    mask_valid(_flat(labels, shape, 'labels'), depth, table, float(min_depth), float(max_depth),
-               valid)
-    if truth is not None:
-        valid = mask_truth(_flat(truth, shape, 'truth'), table, valid,
-                           np.empty(depth.size, np.uint16))
+    mask_depth(depth, float(min_depth), float(max_depth), valid)
+    ignored = np.array([c for c in ignore_labels if 0 <= c < UNKNOWN], np.int32)
+    for ids in given:
+        mask_ids(ids, ignored, valid)
     return valid.reshape(shape)
 
 
-@functools.lru_cache(maxsize=16)
-def _ignoring(ignore_labels: tuple[int, ...]) -> NDArray[np.uint16]:
-    """Return the look-up table id -> id, UNKNOWN for the ignored ones, (65536,) uint16."""
-    table = np.arange(UNKNOWN + 1, dtype=np.uint16)
-    table[[c for c in ignore_labels if 0 <= c <= UNKNOWN]] = UNKNOWN
-    return table
-
-
 def _table(taxonomy: Mapping[int, int] | None) -> NDArray[np.uint16]:
-    """Return the look-up table id -> counted id, UNKNOWN for none, (65536,) uint16."""
+    """Return the look-up table id -> counted id, UNKNOWN for none, (65536,) uint16; none: (0,)."""
     if taxonomy is None:
-        return _ignoring(())
+        return np.empty(0, np.uint16)
     table = np.full(UNKNOWN + 1, UNKNOWN, np.uint16)
     for fine, coarse in taxonomy.items():
         if not (0 <= fine < UNKNOWN and 0 <= coarse < UNKNOWN):
@@ -245,21 +237,35 @@ def _row(image: NDArray[Any], kind: type[Number]) -> NDArray[Number]:
 
 
 @kernel
-def mask_valid(labels, depth, table, low, high, valid):
-    """Write whether the depth is in range and the label counted: valid, (n,) bool."""
-    for i in range(len(labels)):
-        inside = np.uint32(labels[i]) < UNKNOWN     # a negative label is a huge unsigned one
-        valid[i] = low <= depth[i] <= high and depth[i] > 0.0 and inside and \
-            table[labels[i]] != UNKNOWN
+def mask_depth(depth, low, high, valid):
+    """Write whether each depth is in range: valid, (n,) bool."""
+    for i in range(len(depth)):
+        valid[i] = (low <= depth[i]) & (depth[i] <= high) & (depth[i] > 0.0)
+
+
+@kernel
+def mask_ids(ids, ignored, valid):
+    """
+    Make pixels invalid whose id does not count.
+
+    A loop over all pixels for each of the few ignored ids, which the compiler turns into vector
+    instructions, is five times as fast as looking up in a table what each pixel's id is.
+
+    """
+    for i in range(len(ids)):
+        valid[i] &= np.uint32(ids[i]) < UNKNOWN     # a negative label is a huge unsigned one
+    for c in ignored:
+        for i in range(len(ids)):
+            valid[i] &= ids[i] != c
 
 
 @kernel
 def mask_truth(truth, table, valid, classes):
     """Return valid & (true label is counted); write the counted ids, UNKNOWN for none."""
+    counted(truth, table, classes)
     result = np.empty(len(truth), np.bool_)
     for i in range(len(truth)):
-        known = valid[i] and np.uint32(truth[i]) < UNKNOWN
-        classes[i] = table[truth[i]] if known else UNKNOWN
+        classes[i] = classes[i] if valid[i] else UNKNOWN
         result[i] = classes[i] != UNKNOWN
     return result
 
@@ -267,14 +273,14 @@ def mask_truth(truth, table, valid, classes):
 @kernel
 def count_valid(valid, had, codes, pairs, pixels, n_pairs):
     """Write pairs = valid & had, (n,) bool, and add the numbers of both by region code."""
-    code, own, both = np.uint8(0), 0, 0     # of like ones in a row, which most are
+    keys = np.empty(len(valid), np.uint16)
     for i in range(len(valid)):
-        if codes[i] != code:
-            pixels[code] += own
-            n_pairs[code] += both
-            code, own, both = codes[i], 0, 0
         pairs[i] = valid[i] & had[i]
-        own += valid[i]
-        both += pairs[i]
-    pixels[code] += own
-    n_pairs[code] += both
+        keys[i] = np.uint16(codes[i]) << np.uint16(2) | np.uint16(valid[i]) << np.uint16(1) \
+            | np.uint16(pairs[i])
+    lanes = np.zeros((LANES, 4 * CODES), np.uint32)
+    count_keys(keys, lanes)
+    for key in range(4 * CODES):
+        n = lanes[:, key].sum()
+        pixels[key >> 2] += n * (key >> 1 & 1)
+        n_pairs[key >> 2] += n * (key & 1)
