@@ -44,6 +44,7 @@ ROWS = {
     '`map` → `odom` at 1 Hz': (FRAMES, 'test_a_slow_link_is_named_with_both_settings'),
     '`/r1/tf` and `/r2/tf`': (FRAMES, 'test_transforms_are_those_of_the_robot'),
     'poses that jump': (FRAMES, 'test_poses_that_jump_are_not_interpolated'),
+    'poses that come seldom': (FRAMES, 'test_poses_too_seldom_for_the_motion_are_said'),
     'one pose that is far off': (FRAMES, 'test_one_wild_pose_costs_one_frame'),
     'one pose a few metres': (FRAMES, 'test_one_pose_that_is_a_little_wild_is_said'),
     'labels stamped when': (STAMPS, 'test_labels_stamped_late_are_refused'),

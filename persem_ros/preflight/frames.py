@@ -28,8 +28,8 @@ def _robot(view: View, sample: Sample) -> Iterator[Finding]:
     topics = ' and '.join(f'{space}/tf' for space in sorted(spaces))
     setting = 'topics.tf' if not view.name else view.setting('tf')
     if len(fitting) == 1:
-        yield Finding(NOTE, f'of {topics}, {fitting[0]}/tf leads to the camera '
-                            f'{view.image_frame!r} and was used',
+        yield Finding(NOTE, f"of {topics}, {fitting[0]}/tf leads to the images' "
+                            f'frame {view.image_frame!r} and was used',
                       takes={setting: f'{fitting[0]}/tf'})
     else:
         yield Finding(REFUSE, f'{topics} are of several robots, and nothing says which one '
@@ -85,7 +85,7 @@ def _root(view: View, sample: Sample) -> Iterator[Finding]:
                               f'images, {frame!r}: {tree.edges()}')
         return
     known = target in tree.parents or any(target in above for above in tree.parents.values())
-    said = f'/tf leads to the camera {frame!r} from {" and ".join(map(repr, roots))}, ' + (
+    said = f"/tf leads to the images' frame {frame!r} from {' and '.join(map(repr, roots))}, " + (
         f'and {target!r} is not connected with it' if known else f'there is no {target!r}')
     if len(roots) == 1:
         yield Finding(NOTE, f'{said}: the map is in {roots[0]!r}', takes={'frames.map': roots[0]})

@@ -13,6 +13,7 @@ from persem_ros.inputs.sync.poses import NO_MOUNT
 from persem_ros.inputs.sync.track import SLACK, Track
 from persem_ros.preflight.depth import is_cloud_of
 from persem_ros.preflight.findings import Finding, NOTE, REFUSE, Remedy, WARN
+from persem_ros.preflight.pose_rate import check_rate
 from persem_ros.preflight.sample import Sample, Shot, View
 
 TURNED = 10.0, 60.0     # degrees between two views that tell readings apart and still overlap
@@ -33,12 +34,14 @@ def check(sample: Sample) -> Iterator[Finding]:
     """Yield what the poses place, where they do not say so, and where they jump."""
     for view in sample.views:
         if 'pose' not in view.topics:
+            yield from check_rate(view, sample)
             continue
         faults = list(_unreadable(view))
         yield from faults
         if not faults:
             yield from _mount(view, sample)
             yield from _jumps(view, sample)
+            yield from check_rate(view, sample)
 
 
 def _unreadable(view: View) -> Iterator[Finding]:

@@ -458,3 +458,20 @@ def test_transforms_to_a_frame_that_is_not_optical_are_corrected_by_the_printed_
     frames, _ = looked(tmp_path / 'bag', pose__source='tf',
                        pose__extrinsic=[0, 0, 0, -0.5, 0.5, -0.5, 0.5])
     np.testing.assert_allclose(frames[3].T_map_camera, swaying(3) @ DOWN, atol=1e-9)
+
+
+@pytest.mark.parametrize('source', ['topic', 'tf'])
+@pytest.mark.parametrize('body, seldom', [(swaying, True), (straight, False)])
+def test_poses_too_seldom_for_the_motion_are_said(tmp_path, caplog, source, body, seldom):
+    with RecordingWriter(tmp_path / 'bag') as out:
+        out.tf(bags.stamp(0), 'base_link', 'camera', DOWN, static=True)
+        for i in range(41):
+            if i % 5 == 0 and source == 'tf':       # 2 Hz, where images come at 10
+                out.tf(bags.stamp(i), 'map', 'base_link', body(i))
+            elif i % 5 == 0:
+                out.pose('pose', bags.stamp(i), 'map', body(i), 'Odometry', 'base_link')
+            images(out, i, body(i) @ DOWN)
+    assert len(looked(tmp_path / 'bag', pose__source=source)[0]) == 41
+    said = [r.getMessage() for r in caplog.records if 'one every 0.5 s' in r.getMessage()]
+    assert len(said) == seldom
+    assert all('--set pose.max_gap=0.45 uses frames' in sentence for sentence in said)

@@ -1,0 +1,64 @@
+"""A PX4's odometry, published as its agent does, with px4_msgs of the workspace."""
+
+import bags
+from harness import Player
+import numpy as np
+from persem_ros.core.transforms import matrix_to_quaternion
+from persem_ros.outputs.map import store
+from persem_ros.outputs.recording.writer import RecordingWriter
+import pytest
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from test_frames_and_poses import DOWN, images, swaying
+from test_live_equals_replay import replayed
+from test_sensors_live import LATCHED_DEEP
+
+px4 = pytest.importorskip('px4_msgs.msg', reason='no px4_msgs in this workspace')
+TOPIC = '/fmu/out/vehicle_odometry'
+# What the agent (uXRCE-DDS) gives to everything that leaves the autopilot.
+AGENT = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT,
+                   durability=DurabilityPolicy.TRANSIENT_LOCAL)
+TO_NED = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
+FLIP = np.diag([1.0, -1.0, -1.0])
+FRAMES = 12
+
+
+def odometry(at, T):
+    """Return the message of a body (forward, left, up) that is at T, east, north, up."""
+    x, y, z, w = matrix_to_quaternion(TO_NED @ T[:3, :3] @ FLIP)
+    return px4.VehicleOdometry(
+        timestamp=at // 1000 + 4000, timestamp_sample=at // 1000,
+        pose_frame=px4.VehicleOdometry.POSE_FRAME_NED,
+        position=(TO_NED @ T[:3, 3]).astype(np.float32),
+        q=np.array([w, x, y, z], np.float32))
+
+
+def recorded(path, poses):
+    """Write what a camera below a body sees; with *poses* as an Odometry, the replay's."""
+    with RecordingWriter(path) as out:
+        out.tf(bags.stamp(0), 'base_link', 'camera', DOWN, static=True)
+        for i in range(-1, FRAMES + 1):
+            if poses:
+                out.pose('pose', bags.stamp(i), 'map', swaying(i), 'Odometry', 'base_link')
+            if 0 <= i < FRAMES:
+                images(out, i, swaying(i) @ DOWN)
+    return path
+
+
+def test_the_map_is_that_of_the_same_poses_in_ros_axes(ros, tmp_path):
+    saved = tmp_path / 'live.persem'
+    expected = replayed(recorded(tmp_path / 'odometry', True), tmp_path / 'replay',
+                        **{'topics.pose': 'pose'})
+    mapper = ros.mapper({'topics.pose': TOPIC, 'map.path': str(saved)}).ready()
+    out = ros.client.publisher(px4.VehicleOdometry, TOPIC, AGENT)
+    out.publish(px4.VehicleOdometry(q=np.full(4, np.nan, np.float32)))      # no estimate, yet
+    for i in range(-1, FRAMES + 1):
+        out.publish(odometry(bags.stamp(i), swaying(i)))
+    Player(ros.client, recorded(tmp_path / 'images', False), LATCHED_DEEP).play()
+    mapper.frames(FRAMES)
+    assert mapper.call('refine')[0] and mapper.call('save_map')[0]
+    found = store.load(saved)
+    # float32 in PX4, float64 in ROS: what lies on a voxel's face may fall to either side
+    cells, wanted = (set(map(tuple, one.saved.voxels().tolist())) for one in (found, expected))
+    assert len(wanted) > 100 and len(cells ^ wanted) <= 0.02 * len(wanted)
+    assert (found.saved.label == 1).all()
+    assert 'no estimate' in mapper.output or 'no known frame' in mapper.output
