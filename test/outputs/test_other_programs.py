@@ -115,6 +115,24 @@ def test_trimesh_reads_every_field_of_map_ply(town):
     same({name: raw[name] for name in OURS}, cloud.vertices, town[1])
 
 
+def test_cloudcompare_reads_every_field_of_map_ply_as_the_page_prepares_it(town, tmp_path):
+    compare, sed = program('CloudCompare'), program('sed')
+    page = (Path(__file__).parents[2] / 'docs' / 'exports.md').read_text(encoding='utf-8')
+    recipe = next(line for line in page.splitlines() if line.startswith('LC_ALL=C sed '))
+    (tmp_path / 'cc.ply').write_bytes(subprocess.run(
+        [sed, recipe.split("'")[1], town[0] / 'map.ply'], check=True, capture_output=True,
+        env={**os.environ, 'LC_ALL': 'C'}).stdout)
+    said(compare, '-SILENT', '-AUTO_SAVE', 'OFF', '-NO_TIMESTAMP', '-C_EXPORT_FMT', 'ASC',
+         '-ADD_HEADER', '-PREC', '8', '-O', tmp_path / 'cc.ply', '-SAVE_CLOUDS',
+         QT_QPA_PLATFORM='offscreen')
+    made = next(tmp_path.glob('*.asc'))
+    names = made.read_text().splitlines()[0].lstrip('/').split()
+    rows = np.loadtxt(made, skiprows=1)
+    assert names == ['X', 'Y', 'Z', 'R', 'G', 'B', *OURS]
+    same({name: rows[:, names.index(name)].astype(town[1][name].dtype) for name in OURS},
+         rows[:, :3], town[1])
+
+
 @pytest.mark.parametrize(('option', 'name'), [('--ply', 'map.ply'), ('--laz', 'a.laz')])
 def test_pdal_reads_every_field(town, option, name):
     pdal = program('pdal')

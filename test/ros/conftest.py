@@ -10,7 +10,7 @@ import pytest
 
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
 sys.path[:0] = [os.path.dirname(os.path.abspath(__file__)), os.path.join(ROOT, 'test'),
-                os.path.join(ROOT, 'test', 'inputs')]
+                os.path.join(ROOT, 'test', 'inputs'), os.path.join(ROOT, 'test', 'preflight')]
 
 import harness                          # noqa: E402, I100, I201 - beside this file
 
