@@ -53,7 +53,8 @@ def test_the_map_is_that_of_the_same_poses_in_ros_axes(ros, tmp_path):
     saved = tmp_path / 'live.persem'
     expected = replayed(recorded(tmp_path / 'odometry', True), tmp_path / 'replay',
                         **{'topics.pose': 'pose'})
-    mapper = ros.mapper({'topics.pose': TOPIC, 'map.path': str(saved)}).ready()
+    mapper = ros.mapper({'topics.pose': TOPIC, 'qos.pose': 'auto',
+                         'map.path': str(saved)}).ready()
     out = ros.client.publisher(VehicleOdometry, TOPIC, AGENT)
     out.publish(VehicleOdometry(q=np.full(4, np.nan, np.float32)))      # no estimate, yet
     for i in range(-1, FRAMES + 1):
