@@ -11,7 +11,7 @@ from persem_ros.core.memory.paging import Pager
 from persem_ros.core.refine.job import begin_next, finish, refine_all
 from persem_ros.core.warmup import warm_up
 from persem_ros.outputs.map.living import LivingMap
-from persem_ros.settings.config import Config
+from persem_ros.settings.config import Config, updated
 from persem_ros.settings.legend import Legend
 
 SIDE = 128          # columns that a frame sees along either axis
@@ -49,9 +49,11 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--voxels', type=float, default=1e7)
     parser.add_argument('--bound', type=float, default=1e6, help='memory.max_voxels; 0: none')
+    parser.add_argument('--method', default='persem', help='refine.method')
     args = parser.parse_args()
     warm_up()
-    bound, times, config = int(args.bound), {}, Config()
+    bound, times = int(args.bound), {}
+    config = updated(Config(), {'refine.method': args.method})
 
     def timed(name, function, *arguments):
         begin = time.perf_counter()

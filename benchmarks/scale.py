@@ -57,7 +57,7 @@ def show(result, seconds, path):
         by_task = '' if each is None else \
             f'; {sum(each) / len(each):.3f} s a {"recording" if stage == "observe" else "tile"}'
         print(f'  {stage:<11}{spent:8.2f} s {spent / number * 1e6:12.2f} us a {unit}{by_task}')
-    for kind in ('look', 'count'):      # tasks of fit
+    for kind in ('looks', 'rounds'):    # tasks of fit
         if each := result['seconds'].get(kind):
             print(f'    {kind:<9}{sum(each):8.2f} s; {sum(each) / len(each):.3f} s a task')
     return costs

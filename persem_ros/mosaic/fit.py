@@ -11,14 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.geometry.columns import Columns, merged
-from persem_ros.core.geometry.dense import MOST as MOST_DENSE
-from persem_ros.core.geometry.groups import Cells
 from persem_ros.core.geometry.kept import from_arrays
 from persem_ros.core.geometry.looks import Pairs
-from persem_ros.core.geometry.parameters import estimate
 from persem_ros.core.geometry.schedule import Schedule
-from persem_ros.core.geometry.sparse import estimate_sparse
-from persem_ros.core.geometry.totals import sums_from, Totals
+from persem_ros.core.geometry.totals import sums_from, Totals, Whole
 from persem_ros.mosaic import folder as folders
 from persem_ros.mosaic.count import count, Counting
 from persem_ros.mosaic.look import look, Looking
@@ -98,22 +94,7 @@ def fitted(folder: folders.Folder, tiles: dict[str, Surrounded],
         name: Counting(of.tile, files[name], settings.geometry, **arrays)
         for name, of in tiles.items()})
     return Fitted(arrays['tiles'], arrays['lowest'], parameters), {
-        'look': [one['seconds'] for one in looked.values()], 'count': seconds}
-
-
-@dataclass(frozen=True, eq=False)
-class Whole:
-    """What estimates depend on besides sums: classes, cells and number of voxels of the map."""
-
-    classes: NDArray[np.uint16]
-    cells: tuple[Cells, Cells]
-    voxels: int
-    shrink: float
-
-    def estimate(self, sums: Any, rho: float) -> Any:
-        """Return the parameters that follow from the sums over the map."""
-        form: Any = estimate if len(self.classes) <= MOST_DENSE else estimate_sparse
-        return form(sums, self.voxels, self.classes, self.cells, rho, self.shrink)
+        'looks': [one['seconds'] for one in looked.values()], 'rounds': seconds}
 
 
 def _rounds(folder: folders.Folder, whole: Whole, rounds: int,

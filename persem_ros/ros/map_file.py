@@ -108,9 +108,6 @@ class MapFile:
         if not config.map.path:
             raise PersemError('map.attached needs a file: --set map.path=/absolute/path/'
                               'map.persem')
-        if config.refine.method == 'geometry':
-            raise PersemError('refine.method geometry needs the whole map in memory; choose '
-                              'another method, or map.attached=false')
         self._living = LivingMap(path_of(config), config, self._legend)
         memory = self._living.memory()
         self._pager = Pager(memory, self._living)

@@ -69,7 +69,7 @@ def test_other_settings(recordings, tmp_path, values):
 
 
 GEOMETRY = {'refine.method': 'geometry', 'refine.geometry.cell': 5, 'refine.geometry.window': 3}
-FORMS = ('core.geometry.method', 'core.geometry.looks', 'mosaic.look', 'mosaic.fit')
+FORMS = ('core.geometry.method', 'core.geometry.looks', 'core.geometry.totals', 'mosaic.look')
 
 
 @pytest.fixture(scope='module')
@@ -84,7 +84,7 @@ def by_geometry(recordings, tmp_path_factory):
 def test_geometry_is_a_map_and_a_reduce_a_round(recordings, by_geometry, tmp_path, tile):
     assert built(recordings, tmp_path, tile, GEOMETRY) == by_geometry
     seconds = json.loads((tmp_path / 'build.json').read_text('utf-8'))['seconds']
-    assert len(seconds['count']) == 4 * len(seconds['look'])    # at the start, and three rounds
+    assert len(seconds['rounds']) == 4 * len(seconds['looks'])    # at the start, and three rounds
 
 
 def test_several_processes(recordings, by_geometry, tmp_path):

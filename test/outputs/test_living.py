@@ -15,9 +15,12 @@ from hypothesis import given, strategies as st
 import numpy as np
 from persem_ros.core import jit
 from persem_ros.core.frame.clear import clear
+from persem_ros.core.geometry.method import relabel
 from persem_ros.core.memory.paging import Pager
 from persem_ros.core.memory.voxel_memory import VoxelMemory
+from persem_ros.core.refine.explain import explain
 from persem_ros.core.refine.job import begin_next, finish, refine, refine_all
+from persem_ros.core.refine.snapshot import take
 from persem_ros.errors import PersemError
 from persem_ros.frames import Frame, pinhole
 from persem_ros.outputs.map import store
@@ -86,7 +89,7 @@ def mapped(pager, seen, settings, rng, bound):
 
 @cw.examples(max_examples=8)
 @given(cw.seeds, st.sampled_from([60, 150, 10 ** 6]), st.sampled_from([6, 26]),
-       st.sampled_from(['persem', 'recency', 'history']))
+       st.sampled_from(['persem', 'recency', 'history', 'geometry', 'geometry']))
 def test_a_run_that_paged_equals_one_that_never_did(tmp_path_factory, seed, bound, neighbours,
                                                     method):
     path = tmp_path_factory.mktemp('map') / 'map.persem'
@@ -113,7 +116,8 @@ def test_a_run_that_paged_equals_one_that_never_did(tmp_path_factory, seed, boun
     assert 0 < gone < straight.n_voxels and visited == straight.n_voxels - gone
     assert bound == 10 ** 6 or most < straight.n_voxels
     assert sorted(p.name for p in path.parent.iterdir()) == ['map.persem']
-    assert plain(store.load(path).saved) == plain(straight)
+    saved = store.load(path).saved
+    assert plain(saved) == plain(straight) and bool(saved.habits) == (method == 'geometry')
 
 
 def test_the_file_is_not_asked_twice_for_what_it_does_not_have(tmp_path, monkeypatch):
@@ -287,9 +291,53 @@ def test_other_voxels_and_other_files_are_refused(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ['map.persem']
 
 
-def test_a_method_that_looks_farther_is_refused(tmp_path):
-    living, pager = opened(tmp_path / 'map.persem')
-    pager.memory.add(flight(1, 1)[0])
-    with pytest.raises(PersemError, match='refine.method geometry needs the whole map in memory'):
-        refine(pager.memory, replace(SETTINGS, method='geometry'))
+@pytest.mark.parametrize('form', ['dense', 'sparse'])
+def test_geometry_by_kept_parameters(tmp_path, monkeypatch, form):
+    if form == 'sparse':
+        for module in ('method', 'looks', 'totals'):
+            monkeypatch.setattr(f'persem_ros.core.geometry.{module}.MOST_DENSE', 0)
+        monkeypatch.setattr('persem_ros.core.refine.fitting.MOST_DENSE', 0)
+        monkeypatch.setattr('persem_ros.core.refine.fitting.KEPT', 5000)
+    settings, seen = replace(SETTINGS, method='geometry', sweep=60), flight(4, 20)
+    path = tmp_path / 'map.persem'
+    living, pager = opened(path)
+    mapped(pager, seen[:12], settings, np.random.default_rng(1), 100)
+    list(refine_all(pager.memory, settings, 100))
+    fitted, straight = pager.memory.geometry.arrays(), VoxelMemory(0.5)
+    for one in seen[:12]:
+        straight.add(one)
+        looked(straight, one)
+    refine(straight, settings)
+    assert {name: a.tolist() for name, a in fitted.items()} == {
+        name: a.tolist() for name, a in straight.geometry.arrays().items()}
+    pager.save()
+    living.close()
+    living, pager = opened(path)        # another day: they are in the file
+    memory = pager.memory
+    held = 0
+    for k, one in enumerate(seen[12:]):
+        pager.need_voxels(one.voxels)
+        memory.add(one)
+        job = begin_next(memory, settings)
+        if k == 0:
+            known = memory.geometry.arrays()
+            assert all((known[name] == fitted[name]).all() for name in ('pi', 'rho', 'fine'))
+        found, whole = job.compute(), take(memory)
+        rows = whole.row[job.snapshot.number[:job.snapshot.refined]] - 1
+        assert len(rows) and rows.min() >= 0
+        here = relabel(memory, replace(whole, relief=None), settings, memory.geometry)
+        if k > 4:           # all of it is in memory
+            held += len(rows)
+            assert (found.labels == here.labels[rows]).all()
+            assert (found.posterior == here.posterior[rows]).all()
+        finish(job, *found)
+        explained = explain(memory, one.voxels[0], settings)
+        assert explained['label'] == explained['stored_label']
+        pager.save()
+        pager.let_go((1e9, 0.0, 0.0), 90 if k < 4 else 0)
+        if k == 4:
+            pager.need(pager.index())
+    assert held and memory.geometry.pi.tolist() != fitted['pi'].tolist()    # sweeps did that
+    known = memory.geometry.arrays()['cells'].tolist()
+    assert all(cell in known for cell in fitted['cells'].tolist())
     living.close()

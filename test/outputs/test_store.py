@@ -38,6 +38,7 @@ def plain(memory):
     """Return all that a memory or a dump knows as comparable values."""
     saved = memory if dataclasses.is_dataclass(memory) else dump(memory)
     values = {field.name: getattr(saved, field.name) for field in dataclasses.fields(saved)}
+    values['habits'] = {name: a.tolist() for name, a in saved.habits.items()}
     values['frames'] = [(f.t, f.session, f.sensor, f.stamp, f.T_map_sensor.tolist(),
                          f.T_map_best.tolist()) for f in saved.frames]
     values['sessions'] = {number: (session.uuid, {name: T.tolist() for name, T in

@@ -28,20 +28,40 @@ class Columns(NamedTuple):
     tiles: NDArray[np.int32]
     lowest: NDArray[np.int32]
 
-    def ground(self, some: Columns, window: int) -> Ground:
+    def around(self, some: Columns, window: int) -> Columns:
         """
-        Return the Ground over some columns and around them; over these it is the map's.
+        Return some columns and those around them that decide on the ground under these.
 
-        The map's columns are as low as *some* say, where these know more.
+        They are as low as *some* say, where these know more.
 
         """
+        if not len(some.tiles):
+            return some
         reach = 2 * -(-window // SIDE)      # the opening looks twice as far as its window
         low, high = some.tiles.min(axis=0) - reach, some.tiles.max(axis=0) + reach
         first, last = np.searchsorted(self.tiles[:, 0], (low[0], high[0] + 1))
         j = self.tiles[first:last, 1]
         rows = first + np.flatnonzero((low[1] <= j) & (j <= high[1]))
-        near = Columns(*(np.asarray(column[rows]) for column in self))
-        return ground_of(*merged([near, some]), window)
+        return merged([Columns(*(np.asarray(column[rows]) for column in self)), some])
+
+    def places(self, tiles: NDArray[np.int32]) -> NDArray[np.int64]:
+        """Return the places, (t,), of tiles (t, 2); of one that is not there, any."""
+        found = np.searchsorted(keys_of(self.tiles), keys_of(tiles))
+        return np.minimum(found, max(len(self.tiles) - 1, 0))
+
+    def ground(self, window: int) -> Ground:
+        """Return the Ground over the columns: of the map, or of what lies around a part of it."""
+        return ground_of(self.tiles, self.lowest, window)
+
+    def and_those(self, other: Columns) -> Columns:
+        """Return the Columns of both; these are changed in place where no tile is new."""
+        if not len(self.tiles):
+            return other
+        place = self.places(other.tiles)
+        if (self.tiles[place] != other.tiles).any():
+            return merged([self, other])
+        self.lowest[place] = np.minimum(self.lowest[place], other.lowest)
+        return self
 
     def cells(self, cell: int) -> tuple[Cells, Cells]:
         """Return the cells of the map, and those shifted by half of one."""

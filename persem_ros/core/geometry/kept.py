@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from typing import Any, Union
 
 import numpy as np
@@ -57,6 +57,44 @@ class Tally:
 def in_cells(parameters: Any_Parameters, cells: tuple[Cells, Cells]) -> Any_Parameters:
     """Return the same parameters by the numbers of other cells; what these lack is let go."""
     return within(parameters.arrays(), cells)
+
+
+def with_cells(parameters: Any_Parameters, cells: tuple[Cells, Cells]) -> Any_Parameters:
+    """Return the same parameters by numbers of their cells and of other ones."""
+    wider = []
+    for own, other in zip(parameters.cells, cells):
+        own_cells, others = cells_listed(own), cells_listed(other)
+        new = others[Numbers(own_cells).of(others) < 0]
+        wider.append(cells_from(np.concatenate([own_cells, new])))
+    return in_cells(parameters, (wider[0], wider[1]))
+
+
+def filled(parameters: Any_Parameters, before: Any_Parameters) -> Any_Parameters:
+    """Return parameters that say what those *before* did of cells in which nothing was counted."""
+    K = len(parameters.classes)
+    if isinstance(parameters, Parameters) and isinstance(before, Parameters):
+        groups = [parameters.groups[0]]
+        for R, old in zip(parameters.groups[1:], before.groups[1:]):
+            R, by_cell = R.copy(), (-1, KINDS * K)
+            empty = ~R[:-1].reshape(by_cell).any(axis=1)
+            R[:-1].reshape(by_cell)[empty] = old[:-1].reshape(by_cell)[empty]
+            groups.append(R)
+        return replace(parameters, groups=groups)
+    arrays, theirs = parameters.arrays(), before.arrays()
+    for name in ('coarse', 'shifted'):
+        totals = arrays[f'{name}_totals'].copy()
+        empty = ~totals[:-1].reshape(-1, KINDS).any(axis=1)
+        totals[:-1].reshape(-1, KINDS)[empty] = \
+            theirs[f'{name}_totals'][:-1].reshape(-1, KINDS)[empty]
+        more = np.append(empty, False)[theirs[f'{name}_keys'] // (KINDS * K)]
+        less = ~np.append(empty, False)[arrays[f'{name}_keys'] // (KINDS * K)]
+        keys, values = (np.concatenate([
+            arrays[f'{name}_{what}'][less], theirs[f'{name}_{what}'][more]])
+            for what in ('keys', 'values'))
+        order = np.argsort(keys)
+        arrays |= {f'{name}_totals': totals, f'{name}_keys': keys[order],
+                   f'{name}_values': values[order]}
+    return from_arrays(arrays)
 
 
 def within(arrays: Arrays, cells: tuple[Cells, Cells]) -> Any_Parameters:

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from persem_ros.core.geometry.candidates import near_classes
 from persem_ros.core.geometry.columns import cells_at, Columns, columns_of
 from persem_ros.core.geometry.dense import Dense, MOST as MOST_DENSE
-from persem_ros.core.geometry.ground import keys_of
 from persem_ros.core.geometry.groups import groups_of
 from persem_ros.core.geometry.method import check_pairs
 from persem_ros.core.geometry.shape import shapes_of
@@ -140,11 +139,12 @@ def model_of(looks: Looks, columns: Columns, classes: NDArray[np.uint16],
     place[~known] = 0                   # classes that came since say nothing
     votes = replace(looks.votes, classes=classes, place=place[looks.votes.place],
                     share=looks.votes.share * known[looks.votes.place])
-    ground = columns.ground(columns_of(looks.index), constants.window)
+    near = columns.around(columns_of(looks.index), constants.window)
+    ground = near.ground(constants.window)
     cells = cells_at(ground, constants.cell)
-    tile = np.searchsorted(keys_of(ground.tiles), keys_of(looks.index[:, :2] >> 3))
-    groups = groups_of(looks.index, tile, looks.shape, ground, cells, constants.cell)
+    groups = groups_of(looks.index, near.places(looks.index[:, :2] >> 3), looks.shape, ground,
+                       cells, constants.cell)
     if len(classes) <= MOST_DENSE:
         return Dense(None, None, votes, groups, cells, constants)
-    start, near = looks.near or (np.zeros(len(votes.count) + 1, np.int64), np.empty(0, np.int32))
-    return Sparse(None, None, votes, groups, cells, constants, (start, place[near]))
+    start, beside = looks.near or (np.zeros(len(votes.count) + 1, np.int64), np.empty(0, np.int32))
+    return Sparse(None, None, votes, groups, cells, constants, (start, place[beside]))

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Union
 
 import numpy as np
 from numpy.typing import NDArray
+from persem_ros.core.geometry.dense import MOST as MOST_DENSE
 from persem_ros.core.geometry.entries import merged
 from persem_ros.core.geometry.ground import keys_of
 from persem_ros.core.geometry.groups import Cells, cells_listed, KINDS
-from persem_ros.core.geometry.parameters import Sums
-from persem_ros.core.geometry.sparse import SparseSums
+from persem_ros.core.geometry.parameters import estimate, Sums
+from persem_ros.core.geometry.sparse import estimate_sparse, SparseSums
 
 Any_Sums = Union[Sums, SparseSums]
 DENSE = 'fine', 'coarse', 'shifted'
@@ -101,6 +103,21 @@ class Totals:
             sum(getattr(part, name) for part in parts)
             for name in SparseSums.__dataclass_fields__}
         self._sum = SparseSums(**fields)
+
+
+@dataclass(frozen=True, eq=False)
+class Whole:
+    """What estimates depend on besides sums: classes, cells and number of voxels of the map."""
+
+    classes: NDArray[np.uint16]
+    cells: tuple[Cells, Cells]
+    voxels: int
+    shrink: float
+
+    def estimate(self, sums: Any, rho: float) -> Any:
+        """Return the parameters that follow from the sums over the map."""
+        form: Any = estimate if len(self.classes) <= MOST_DENSE else estimate_sparse
+        return form(sums, self.voxels, self.classes, self.cells, rho, self.shrink)
 
 
 def arrays_of(sums: Any_Sums) -> dict[str, NDArray[Any]]:

@@ -7,7 +7,8 @@ The core knows no files: it is handed a store that reads blocks and writes what 
 
 from __future__ import annotations
 
-from typing import Protocol, TYPE_CHECKING
+from collections.abc import Iterator
+from typing import Any, Protocol, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,7 +17,7 @@ from persem_ros.core.memory.blocks import find_block
 from persem_ros.core.memory.capture import Capture
 from persem_ros.core.memory.dump import Blocks, enter, MemoryDump
 from persem_ros.core.memory.evict import farthest, leave
-from persem_ros.core.memory.pools import CLOCK, sparse_zeros
+from persem_ros.core.memory.pools import CLOCK, SIDE, sparse_zeros
 
 if TYPE_CHECKING:
     from persem_ros.core.memory.voxel_memory import VoxelMemory
@@ -54,6 +55,8 @@ class Pager:
     ----------
     moment : int
         The tick of the last state of the map that the store holds.
+    columns : core.geometry.columns.Columns or None
+        The lowest voxels of all columns that were looked at, for the method geometry.
 
     """
 
@@ -61,6 +64,7 @@ class Pager:
         self.memory, self.backing = memory, backing
         memory.pager = self
         self.moment = 0
+        self.columns: Any = None
         self._absent: set[tuple[int, ...]] = set()  # blocks that the store is known not to have
         self._ringed = sparse_zeros(0, np.uint8)    # by block number: all blocks around are here
 
@@ -107,6 +111,40 @@ class Pager:
     def ringed(self, blocks: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return those of the blocks around which everything is in memory."""
         return blocks[self._room()[blocks] == 1]
+
+    def index(self) -> NDArray[np.int32]:
+        """Return the indices of all blocks, those in memory and those in the store, ascending."""
+        blocks, n = self.memory.m.blocks, self.memory.n_blocks
+        here = blocks['index'][:n][blocks['near'][:n, 13] > 0]
+        return np.unique(np.concatenate([here, self.backing.index()]), axis=0)
+
+    def visit(self, index: NDArray[np.int32], at_once: int,
+              max_voxels: int) -> Iterator[NDArray[np.int64]]:
+        """
+        Yield the numbers of blocks with all around them in memory, some at a time.
+
+        Parameters
+        ----------
+        index : ndarray, shape (n, 3), int32
+            The blocks; damaged ones are left out.
+        at_once : int
+            How many at a time.
+        max_voxels : int
+            The bound of memory, between two steps; 0: none.
+
+        """
+        memory = self.memory
+        for at in range(0, len(index), at_once):
+            part = index[at:at + at_once]
+            self.need(part)
+            numbers = block_numbers(memory, part)
+            numbers = numbers[numbers >= 0]
+            self.need_around(numbers)
+            yield numbers
+            if 0 < max_voxels < memory.n_voxels:
+                self.save()
+                middle = (part[-1] + 0.5) * SIDE * memory.voxel_size + memory.origin
+                self.let_go(middle, max_voxels)
 
     def let_go(self, position: ArrayLike, max_voxels: int = 0, radius: float = 0.0,
                at_once: int = 0) -> int:

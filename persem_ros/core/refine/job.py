@@ -9,16 +9,15 @@ from typing import Any, TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.geometry.columns import cells_at
-from persem_ros.core.geometry.kept import fitted_by, from_arrays, in_cells, Tally
+from persem_ros.core.geometry.kept import fitted_by, from_arrays, in_cells, Tally, within
 from persem_ros.core.geometry.method import Labelled, relabel
 from persem_ros.core.jit import kernel, split
 from persem_ros.core.memory.blocks import directions
-from persem_ros.core.memory.paging import block_numbers
-from persem_ros.core.memory.pools import CLOCK, SIDE
-from persem_ros.core.refine import fusion, selection, snapshot
-from persem_ros.core.refine.reach import reached
+from persem_ros.core.memory.pools import CLOCK
+from persem_ros.core.refine import fusion, paged, selection, snapshot
+from persem_ros.core.refine.fitting import Fitting
+from persem_ros.core.refine.reach import ASIDE, reached, surrounded
 from persem_ros.core.refine.sweep import next_blocks, Sweep
-from persem_ros.errors import PersemError
 
 if TYPE_CHECKING:
     from persem_ros.core.memory.voxel_memory import VoxelMemory
@@ -84,6 +83,8 @@ def refine(memory: VoxelMemory, settings: Refine, full: bool = True) -> int:
 
 def begin(memory: VoxelMemory, settings: Refine, full: bool = True) -> Job:
     """Return the Job of a refinement; call it on the mapping thread, between two frames."""
+    if settings.method == 'geometry' and memory.pager is not None:
+        return _begin_paged(memory, settings)
     if full or memory.rho is None:
         _take_rho(memory)
     rules = _rules(memory, settings)
@@ -127,7 +128,8 @@ def begin_next(memory: Any, settings: Any, fresh: Any = False) -> Any:
     """
     rules = _rules(memory, settings)
     if settings.method == 'geometry':
-        return _begin_round(memory, settings, rules, fresh)
+        return _begin_paged(memory, settings) if memory.pager is not None else \
+            _begin_round(memory, settings, rules, fresh)
     if fresh or memory.rho is None or _due(memory, settings):
         _take_rho(memory)
     if memory.refined_with != rules:
@@ -148,13 +150,14 @@ def refine_all(memory: VoxelMemory, settings: Refine, max_voxels: int = 0) -> It
     """
     Refine a map of which a store holds the rest, block after block with all around them.
 
+    By the method geometry the parameters are fitted first, to all of it.
+
     Parameters
     ----------
     memory : core.memory.voxel_memory.VoxelMemory
         It has a pager.
     settings : persem_ros.settings.config.Refine
-        A method that looks no farther than a voxel's neighbours; others want the whole map in
-        memory (PersemError).
+        The method and its constants.
     max_voxels : int
         The bound of memory, between two steps; 0: none.
 
@@ -164,31 +167,33 @@ def refine_all(memory: VoxelMemory, settings: Refine, max_voxels: int = 0) -> It
         How many voxels a step has visited.
 
     """
-    pager = memory.pager
-    if settings.method not in SWEPT:
-        raise PersemError(f'refine.method {settings.method} needs the whole map in memory; choose '
-                          'another method, or go without map.attached')
+    pager: Any = memory.pager
+    index, known, columns = pager.index(), None, None
+    if settings.method == 'geometry':
+        fitting = Fitting(memory, settings, index, AT_ONCE, max_voxels)
+        known = yield from fitting.parameters()
+        pager.columns = columns = fitting.columns
     _take_rho(memory)
     assert pager is not None and memory.rho is not None, 'of a map that is paged'
     snapshot.settle(memory)
-    blocks = memory.m.blocks
-    here = blocks['index'][:memory.n_blocks][blocks['near'][:memory.n_blocks, 13] > 0]
-    index = np.unique(np.concatenate([here, pager.backing.index()]), axis=0)
-    for at in range(0, len(index), AT_ONCE):
-        part = index[at:at + AT_ONCE]
-        pager.need(part)
-        numbers = block_numbers(memory, part)
-        numbers = numbers[numbers >= 0]         # a damaged one is left out
-        pager.need_around(numbers)
+    memory.geometry = known
+    if known is not None:
+        memory.fitted_by, memory.known_ids = fitted_by(settings), memory.voted_ids.copy()
+    arrays = {} if known is None else known.arrays()
+    for numbers in pager.visit(index, AT_ONCE, max_voxels):
         _settle_blocks(memory, numbers)
-        taken = snapshot.take(memory, settings.neighbours, numbers)
+        here = None
+        if columns is None:
+            taken = snapshot.take(memory, settings.neighbours, numbers)
+        else:
+            taken = surrounded(memory, settings, numbers, ASIDE, columns)
+            if taken.refined:
+                here = within(arrays, cells_at(taken.relief.ground, settings.geometry.cell))
         memory.refinements += 1
-        job = Job(memory, settings, taken, memory.rho, number_of_ids(memory), None)
-        yield finish(job, *job.compute())
-        if 0 < max_voxels < memory.n_voxels:
-            pager.save()
-            middle = (part[-1] + 0.5) * SIDE * memory.voxel_size + memory.origin
-            pager.let_go(middle, max_voxels)
+        job = Job(memory, settings, taken, memory.rho, number_of_ids(memory), here)
+        visited = finish(job, *job.compute())
+        memory.geometry = known
+        yield visited
     memory.sweep, memory.refined_with = None, _rules(memory, settings)
     memory.since_rho = 1
 
@@ -222,6 +227,25 @@ def _begin_round(memory: Any, settings: Any, rules: Any, fresh: bool) -> Job:
     memory.since_rho += 1
     also = next_blocks(memory.sweep, memory.m.blocks, memory.table, settings.sweep)
     taken = reached(memory, settings, False, also)
+    snapshot.settle(memory)
+    memory.refinements += 1
+    return Job(memory, settings, taken, memory.rho, number_of_ids(memory), memory.geometry,
+               memory.sweep)
+
+
+def _begin_paged(memory: Any, settings: Any) -> Job:
+    """Return begin_next()'s Job by the method geometry where a store holds the rest of the map."""
+    rules = _rules(memory, settings)
+    if memory.rho is None:
+        memory.rho, memory.rho_of = memory.volatility(), -1
+    if memory.refined_with not in (None, rules):        # None also where a block has left
+        memory.sweep = None
+    memory.refined_with = rules
+    memory.since_rho += 1
+    if memory.fitted_by is not None and memory.fitted_by[0] != settings.up:
+        memory.pager.columns = None
+    news = _news(memory, settings)
+    taken = paged.part(memory, settings, news)
     snapshot.settle(memory)
     memory.refinements += 1
     return Job(memory, settings, taken, memory.rho, number_of_ids(memory), memory.geometry,

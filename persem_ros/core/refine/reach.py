@@ -8,13 +8,14 @@ its columns (spec section 12); to label these, two rings more have to be looked 
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any, NamedTuple, Optional
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Optional
 
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.geometry.columns import Columns, columns_of
-from persem_ros.core.geometry.ground import Ground, keys_of
+from persem_ros.core.geometry.ground import Ground
 from persem_ros.core.geometry.labelling import SMOOTHED
 from persem_ros.core.geometry.relief import Change, read_bits, Relief, spread
 from persem_ros.core.geometry.shape import RADIUS
@@ -28,12 +29,31 @@ NO_BLOCKS = np.empty(0, np.int64)
 ASIDE = SMOOTHED + 1    # rings that count: in the last one classes that were seen, no more
 
 
-class Surroundings(NamedTuple):
-    """What core.geometry.relief.Relief tells of a whole map, around some blocks of one."""
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """
+    What core.geometry.relief.Relief tells of a whole map, around some blocks of one.
+
+    Attributes
+    ----------
+    bits, tile
+        As there.
+    columns : Columns
+        All that decide on the ground under the blocks.
+    window : int
+        Of the opening.
+
+    """
 
     bits: NDArray[np.uint8]
     tile: NDArray[np.int32]
-    ground: Optional[Ground]
+    columns: Columns
+    window: int
+
+    @cached_property
+    def ground(self) -> Ground:
+        """Return the ground, found when it is asked for: beside the mapping."""
+        return self.columns.ground(self.window)
 
 
 def reached(memory: Any, settings: Any, everywhere: bool,
@@ -114,7 +134,7 @@ def surrounded(memory: Any, settings: Any, numbers: NDArray[np.int64], rings: in
     rings : int
         8 at most, less the radius of shapes where these are wanted in the rings.
     columns : core.geometry.columns.Columns, optional
-        Of the whole map; None: no ground is wanted.
+        Of the whole map; None: the ground does not matter.
 
     """
     blocks, n, up = memory.m.blocks, memory.n_blocks, up_of(settings.up)
@@ -134,12 +154,12 @@ def surrounded(memory: Any, settings: Any, numbers: NDArray[np.int64], rings: in
         ends.append(end)
     block, cell, number = (column[:end] for column in lists)
     taken = snapshot.copied(memory, block, cell, number, ends[0], shares=False)
-    tile, ground = sparse_zeros(n, np.int32), None
-    if columns is not None and end:
-        ground = columns.ground(columns_of(upright(taken.index, up)), settings.geometry.window)
-        tile[near] = np.searchsorted(
-            keys_of(ground.tiles), keys_of(upright(blocks['index'][near], up)[:, :2]))
-    return replace(taken, relief=Surroundings(bits, tile, ground), reshaped=np.arange(end))
+    own, window = columns_of(upright(taken.index, up)), settings.geometry.window
+    found = own if columns is None else columns.around(own, window)
+    tile = sparse_zeros(n, np.int32)
+    tile[near] = found.places(upright(blocks['index'][near], up)[:, :2])
+    return replace(taken, relief=Surroundings(bits, tile, found, window),
+                   reshaped=np.arange(end))
 
 
 def at_hand(memory: Any, voxel: NDArray[np.int32],
@@ -151,7 +171,10 @@ def at_hand(memory: Any, voxel: NDArray[np.int32],
     relief for the settings, or the voxel is newer than it.
 
     """
-    relief = memory.relief
+    relief, pager = memory.relief, memory.pager
+    if pager is not None and pager.columns is not None:
+        block = block_numbers(memory, np.asarray(voxel, np.int32)[None] >> 3)
+        return surrounded(memory, settings, block, ASIDE, pager.columns)
     if relief is None or (relief.up, relief.window) != (
             up_of(settings.up), settings.geometry.window):
         return None

@@ -27,6 +27,7 @@ from persem_ros.errors import PersemError
 from persem_ros.guard.database import check_declared, harden
 from persem_ros.outputs.map import store
 from persem_ros.outputs.map.checks import check_blocks, FARTHEST_BLOCK
+from persem_ros.outputs.map.habits import to_blob
 from persem_ros.outputs.map.lock import WriterLock
 from persem_ros.outputs.map.rows import (
     about_rows, block_rows, blocks_of, crc_of, frame_rows, small_rows)
@@ -208,7 +209,11 @@ class LivingMap:
         about = {**self._about, **counts, 'session': changed.session, 'frames_crc': crc,
                  'refined': int(changed.rho is not None),
                  'settings': config_file.to_yaml(self.config), 'legend': self.legend().to_yaml()}
+        about.pop('habits', None)
+        if changed.habits and changed.fitted_by is not None:
+            about['habits'] = to_blob(changed.habits, changed.fitted_by)
         about['crc'] = crc_of(about_rows(about, small))
+        db.execute("DELETE FROM about WHERE name = 'habits'")
         db.executemany('INSERT OR REPLACE INTO about VALUES (?, ?)', about.items())
         return about, crc
 
