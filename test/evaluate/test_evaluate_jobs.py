@@ -6,7 +6,7 @@ import threading
 import time
 
 import numpy as np
-from persem_ros import cli, workers as side_by_side
+from persem_ros import cli, cluster
 from persem_ros.errors import PersemError
 from persem_ros.evaluate.work import jobs
 from persem_ros.evaluate.work.task import Task
@@ -71,7 +71,7 @@ def test_a_worker_that_dies_is_said(tasks):
 
 def test_no_scheduler_there(tasks, capsys, monkeypatch):
     pytest.importorskip('distributed')
-    monkeypatch.setattr(side_by_side, 'PATIENCE', 1)
+    monkeypatch.setattr(cluster, 'PATIENCE', 1)
     words = ['evaluate', tasks[0].recording, '--scheduler', 'tcp://127.0.0.1:9']
     assert cli.main(words) == 1
     error = capsys.readouterr().err.splitlines()

@@ -2,13 +2,12 @@
 
 from pathlib import Path
 import struct
-from types import SimpleNamespace
 import zlib
 
 import cv2
 import numpy as np
 from persem_ros.convert import images
-from persem_ros.core.geometry.method import _check_pairs
+from persem_ros.core.geometry.method import check_pairs
 from persem_ros.errors import PersemError
 from persem_ros.guard import limits
 from persem_ros.guard.pictures import check_parts, SCANS, TEXTS
@@ -63,9 +62,9 @@ def text(content):
     return Message
 
 
-def votes(voxels, classes):
-    """Return what is read of votes for all classes in each voxel."""
-    return SimpleNamespace(count=np.full(voxels, classes), classes=np.arange(classes))
+def check(voxels, classes):
+    """Check the pairs of votes for all classes in each voxel."""
+    check_pairs(voxels * float(classes) ** 2, float(voxels * classes), classes, classes)
 
 
 def file(name, content):
@@ -108,9 +107,9 @@ BOUNDS = {
         nodes=50)), '50 values', 'no legend needs more'),
     'values of metadata.yaml': (lambda _: load('[' + 'x,' * 60 + ']', 'file', RECORDING._replace(
         nodes=50)), '50 values', 'remove it'),
-    'pairs of classes': (lambda _: _check_pairs(votes(1, 65_535)), '6.71e+07',
+    'pairs of classes': (lambda _: check(1, 65_535), '6.71e+07',
                          'choose another refine.method'),
-    'pairs that are counted': (lambda _: _check_pairs(votes(1000, 2000)), '64 a vote',
+    'pairs that are counted': (lambda _: check(1000, 2000), '64 a vote',
                                'choose another refine.method'),
     'a table of names': (lambda _: legends.table(text('{' + ' ' * legends.LONGEST + '}')),
                          str(legends.LONGEST), 'expected vision_msgs/LabelInfo'),

@@ -3,7 +3,7 @@
 import threading
 import time
 
-from persem_ros import cli, workers as side_by_side
+from persem_ros import cli, cluster
 from persem_ros.mosaic import folder, run
 from persem_ros.replay import replay
 from persem_ros.settings.config import Config, updated
@@ -46,7 +46,7 @@ def test_a_cluster_without_workers(scheduler, recordings, tmp_path, capsys):
 
 def test_no_scheduler_there(recordings, tmp_path, capsys, monkeypatch):
     pytest.importorskip('distributed')
-    monkeypatch.setattr(side_by_side, 'PATIENCE', 1)
+    monkeypatch.setattr(cluster, 'PATIENCE', 1)
     assert cli.main(['build', recordings[0], '--out', str(tmp_path / 'out'), '--scheduler',
                      'tcp://127.0.0.1:9']) == 1
     assert 'no scheduler answers there' in capsys.readouterr().err.splitlines()[-1]

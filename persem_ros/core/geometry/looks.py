@@ -87,6 +87,7 @@ def look(memory: Any, taken: Any, settings: Any, beside: bool) -> Looks:
     Parameters
     ----------
     memory : core.memory.voxel_memory.VoxelMemory
+        The map.
     taken : core.refine.snapshot.Snapshot
         core.refine.reach.surrounded(), with a ring around the rows where *beside*.
     settings : persem_ros.settings.config.Refine
@@ -127,11 +128,13 @@ def model_of(looks: Looks, columns: Columns, classes: NDArray[np.uint16],
     Parameters
     ----------
     looks : Looks
+        Of the part.
     columns : Columns
         Of the whole map.
     classes : ndarray, shape (K,), uint16
         Of the whole map.
     constants : persem_ros.settings.config.Geometry
+        refine.geometry.
 
     """
     place = np.searchsorted(classes, looks.votes.classes).astype(np.int32)
