@@ -9,7 +9,7 @@ from persem_ros.preflight.findings import Finding, Remedy, WARN
 from persem_ros.preflight.sample import Sample, View
 
 SLOW = 0.15         # s between poses, below which what is missed is noise rather than motion
-LEAST = 5           # poses that are left out, at least
+LEAST = 3           # poses that are left out, at least
 SHARE = 90          # percentile of what is missed
 TURN = 2.0          # degrees that may be missed: 0.7 m at 20 m
 
