@@ -35,7 +35,8 @@ def test_a_killed_node_leaves_the_map_and_the_next_one_goes_on(ros, tmp_path):
     assert (tmp_path / 'map.persem-wal').exists()
     saved = store.load(path).saved
     assert np.array_equal(saved.history_frame, whole.history_frame)
-    third = ros.mapper(attached(path, memory__max_voxels=200)).ready()
+    third = ros.mapper(attached(path, memory__max_voxels=200, refine__method='geometry',
+                                refine__period=0.2)).ready()
     player = Player(ros.client, bag)
     player.play()
     third.frames(FRAMES)
@@ -49,6 +50,7 @@ def test_a_killed_node_leaves_the_map_and_the_next_one_goes_on(ros, tmp_path):
     saved = store.load(path).saved
     assert saved.frames.session.tolist() == FRAMES * [1] + FRAMES * [2]
     assert saved.observations.sum() == 2 * whole.observations.sum() and not saved.dirty.any()
+    assert saved.fitted_by is not None and saved.fitted_by[0] == 'z' and saved.posterior.all()
     assert sorted(p.name for p in tmp_path.glob('*map.persem*')) == ['map.persem']
 
 
