@@ -46,7 +46,7 @@ class Pipeline:
 
     def observe(self, frame: Frame) -> Observations:
         """Return what a frame says about each voxel it sees."""
-        return self._observed(thinned(frame, self.config.memory))
+        return self.sighted(thinned(frame, self.config.memory))
 
     def add(self, frame: Frame) -> Observations:
         """Integrate a frame, clear what it looks through; return its observations."""
@@ -59,7 +59,7 @@ class Pipeline:
 
     def refine(self, full: bool = True) -> int:
         """Refine the map; return the number of voxels visited."""
-        return refine(self.memory, self.config.refine, full)
+        return refine(self.memory, self.config.refine, full, self.config.memory.max_voxels)
 
     def refine_next(self) -> int:
         """Refine what is next in turn, as a node does; return the number of voxels visited."""
@@ -87,13 +87,13 @@ class Pipeline:
         if observations is not None and observations.where.size != frame.depth.size:
             observations = None         # a stride left pixels out
         if observations is None and self.memory.pager is not None:
-            observations = self._observed(frame)
+            observations = self.sighted(frame)
             self.memory.pager.need_voxels(observations.voxels)
         if observations is not None:
             return voxel_image(self.memory, observations, shape)
         return voxel_image_of(self.memory, *self._placed(frame), shape)
 
-    def _observed(self, frame: Frame) -> Observations:
+    def sighted(self, frame: Frame) -> Observations:
         """Return what all pixels of a frame say, whatever the stride."""
         labels = images.counted_labels(frame, self.config.memory)
         offsets = np.empty(frame.depth.size, np.int32)

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from persem_ros.core.frame.images import counted, on_depth, on_labels
 from persem_ros.core.frame.render import filled, render
 from persem_ros.core.frame.smoothing import EmaImages
+from persem_ros.core.refine.in_view import InView
 from persem_ros.core.refine.job import label
+from persem_ros.core.refine.regions import regions
 from persem_ros.frames import UNKNOWN
 from persem_ros.outputs.results.metrics import valid_pixels
 from persem_ros.settings.config import IMAGE_METHODS
@@ -70,8 +72,10 @@ class Renderer:
         # By method: labels of its own, by voxel number, and those of all voxels of today.
         self._labels: dict[str, NDArray[np.uint16]] = {}
         self._gathered: dict[str, NDArray[np.uint16]] = {}
-        self._gathered_at: int | None = None
+        self._gathered_at: tuple[int, int] | None = None
         self._smoothers: dict[str, EmaImages] = {}
+        self._codes: NDArray[np.uint8] | None = None
+        self._in_view: InView | None = None     # where memory holds a part of a refined map
 
     def restart(self) -> None:
         """Smooth no image with one of another recording."""
@@ -79,15 +83,31 @@ class Renderer:
 
     def relabel(self) -> None:
         """Label the map anew by every method that needs it; call it after each refinement."""
-        config = self.pipeline.config
-        for method in self.methods:
-            if method not in IMAGE_METHODS + ('majority', config.refine.method):
-                self._labels[method] = label(self.pipeline.memory, method, config.refine)[0]
+        if self.pipeline.memory.pager is None:
+            for method in self._others():
+                self._labels[method] = label(self.pipeline.memory, method,
+                                             self.pipeline.config.refine)[0]
         self._gathered_at = None
+
+    def classify(self) -> None:
+        """Find the regions of a map that changes no more; call it after relabel()."""
+        memory, settings = self.pipeline.memory, self.pipeline.config.refine
+        if memory.pager is not None:
+            self._in_view = InView(memory, self._others(), settings)
+        else:
+            self._codes = regions(memory, settings.neighbours)[0]
+
+    @property
+    def codes(self) -> NDArray[np.uint8] | None:
+        """Return the region codes by voxel number, as of the last render()."""
+        return self._codes if self._in_view is None else self._in_view.codes
 
     def render(self, frame: Frame, observations: Observations | None = None) -> Rendering:
         """Render a frame; observations save placing its pixels again."""
         config = self.pipeline.config
+        if self._in_view is not None:
+            observations = self.pipeline.sighted(frame)
+            self._in_view.look(observations.voxels)
         voxels = self.pipeline.voxel_image(frame, observations)
         labels = on_depth(frame, frame.labels)
         truth = None if frame.truth is None else on_depth(frame, frame.truth)
@@ -121,11 +141,14 @@ class Renderer:
 
         """
         memory = self.pipeline.memory
-        if self._gathered_at != memory.n_observations:
-            self._gathered, self._gathered_at = {}, memory.n_observations
+        now = memory.n_observations, 0 if memory.pager is None else memory.pager.turn
+        if self._gathered_at != now:
+            self._gathered, self._gathered_at = {}, now
         if method not in self._gathered:
             records = memory.m.voxels[:memory.n_numbers]
-            if method == self.pipeline.config.refine.method:
+            if self._in_view is not None and method in self._in_view.labels:
+                found = self._in_view.labels[method]
+            elif method == self.pipeline.config.refine.method:
                 found = np.ascontiguousarray(records['label'])
             else:
                 found = np.ascontiguousarray(records['majority'])
@@ -134,6 +157,11 @@ class Renderer:
                     found[:len(older)] = older
             self._gathered[method] = found
         return self._gathered[method]
+
+    def _others(self) -> list[str]:
+        """Return the voxel methods that label the map beside its own."""
+        own = self.pipeline.config.refine.method
+        return [m for m in self.methods if m not in (*IMAGE_METHODS, 'majority', own)]
 
     def _smoothed(self, sensor: str, labels: NDArray[np.int32]) -> NDArray[np.uint16]:
         """Return the labels of ema2d; ignored pixels leave the state as it is."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, ExitStack, nullcontext
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import AbstractContextManager, closing, ExitStack, nullcontext
 import logging
 from pathlib import Path
 from typing import Any, Protocol, TYPE_CHECKING
@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.ahead import read_ahead, WriteBehind
 from persem_ros.core.jit import Announcement
-from persem_ros.core.memory.voxel_memory import VoxelMemory
-from persem_ros.core.refine.regions import region_image, regions
+from persem_ros.core.refine.job import SWEPT
+from persem_ros.core.refine.regions import region_image
 from persem_ros.core.warmup import warm_up
 from persem_ros.errors import PersemError
 from persem_ros.inputs.recording import corrected, finding
@@ -22,14 +22,13 @@ from persem_ros.inputs.recording.recording import Recording
 from persem_ros.inputs.recording.sessions import Sessions
 from persem_ros.outputs.files import write_json, write_text
 from persem_ros.outputs.map import store
-from persem_ros.outputs.map.cloud import map_points
-from persem_ros.outputs.map.lock import WriterLock
-from persem_ros.outputs.map.ply import map_comments, write_ply
 from persem_ros.outputs.progress import progress
 from persem_ros.outputs.recording.refined import RefinedWriter
 from persem_ros.outputs.report.watcher import ReportWatcher
 from persem_ros.outputs.results import rundir
+from persem_ros.outputs.results.mapped import attached, Mapped, start_map
 from persem_ros.outputs.results.metrics import Metrics
+from persem_ros.outputs.results.paged import Paged
 from persem_ros.pipeline import Pipeline
 from persem_ros.preflight.advice import Advice
 from persem_ros.preflight.emptiness import Emptiness
@@ -72,21 +71,22 @@ class Replay:
     methods : sequence
         Methods to be measured; refine.method is among them.
     watchers : sequence of Watcher
-    memory : VoxelMemory, optional
+    mapped : Mapped, optional
         A map to go on with.
 
     """
 
     def __init__(self, recording: Sessions, folder: Path, config: Config,
                  methods: Sequence[str], watchers: Sequence[Watcher] = (),
-                 memory: VoxelMemory | None = None) -> None:
+                 mapped: Mapped | None = None) -> None:
         self.recording, self.folder, self.config = recording, folder, config
         self.out = folder       # where the folder's files end up
         self.methods, self.watchers = tuple(methods), tuple(watchers)
         self.watch = rundir.Stopwatch()
         self.legend = chosen_legend(config, recording)
         self.advice = Advice(config, self.legend)
-        self.pipeline = Pipeline(config, memory)
+        self.mapped = mapped or Mapped(None, config, self.legend)
+        self.pipeline = Pipeline(config, self.mapped.memory)
         self.renderer = Renderer(self.pipeline, self.methods)
         self.metrics = Metrics(list(self.methods))
         self.frames, self.causal = 0, False
@@ -101,20 +101,26 @@ class Replay:
             for session, frame in frames:
                 self._begin(session)
                 self._integrate(frame)
+                self._make_room(frame)
         self._check_map()
         self._refine()
-        codes = regions(self.pipeline.memory, self.config.refine.neighbours)[0]
+        with self.watch('label'):
+            self.renderer.classify()
         with self._refined() as refined, self._behind() as later:
+            # Where nothing moves any more, much is done beside the rendering.
+            paged = self.mapped.paged
+            then = at_once if paged else later
             with WriteBehind() as beside, \
                     self._read('rendering', truth=True, color=bool(self.watchers)) as frames:
-                beside(self._write_map)     # nothing changes the map any more
+                (at_once if paged else beside)(self._write_map)
                 for session, frame in frames:
                     if self._begins_measuring(session):
-                        later(self.metrics.restart)
+                        then(self.metrics.restart)
                     rendering = self._render(frame)
-                    later(self._measure, frame, rendering, codes)   # nothing moves any more
+                    then(self._measure, frame, rendering, self.renderer.codes)
                     later(refined.frame, frame, rendering.published)
-            later(refined.map, self.points, self.pipeline.memory.frames[-1].stamp)
+                    self._make_room(frame)
+            later(refined.map, self.mapped.points(), self.pipeline.memory.frames[-1].stamp)
         return self._finish()
 
     def run_causal(self) -> dict[str, Any]:
@@ -137,10 +143,11 @@ class Replay:
                     rendering = self._render(frame, observations)
                     self._measure(frame, rendering)
                     later(refined.frame, frame, rendering.published)
+                    self._make_room(frame)
             self._check_map()
             self._refine()
             self._write_map()
-            later(refined.map, self.points, self.pipeline.memory.frames[-1].stamp)
+            later(refined.map, self.mapped.points(), self.pipeline.memory.frames[-1].stamp)
         return self._finish()
 
     def without_truth(self) -> str:
@@ -184,13 +191,20 @@ class Replay:
             self._emptiness.frame(frame)
         return observations
 
+    def _make_room(self, frame: Frame) -> None:
+        """Keep to the bounds of memory."""
+        if self.mapped.paged:
+            with self.watch('page'):
+                self.mapped.make_room(frame.T_map_camera[:3, 3])
+
     def _check_map(self) -> None:
         """Refuse a recording of which nothing went into the map; log what its voxels are like."""
         memory = self.pipeline.memory
+        self.mapped.settle()
         if memory.n_observations == self._before:
             raise PersemError(f'{self.recording.name}: nothing went into the map, '
                               f'{self._emptiness.sentence()}')
-        for note in self.advice.about_voxels(memory):
+        for note in self.advice.about_voxels(memory, self.mapped.n_voxels):
             log.warning(note)
 
     def _refine(self, full: bool = True) -> None:
@@ -232,19 +246,14 @@ class Replay:
     def _write_map(self) -> None:
         """Write map.ply, map.persem and the settings."""
         with self.watch('write map'):
-            memory = self.pipeline.memory
-            self.points = map_points(memory.voxels(), memory.voxel_size, self.legend)
             write_text(self.folder / 'config.yaml', config_file.to_yaml(self.config))
-            x, y, z = memory.origin
-            write_ply(self.folder / 'map.ply', self.points, map_comments(
-                self.config.frames.map, (x, y, z), memory.voxel_size))
-            store.save(self.folder / 'map.persem', memory, self.config, self.legend)
+            self.mapped.write(self.folder)
 
     def _finish(self) -> dict[str, Any]:
         """Write metrics.json and timing.json; tell the watchers; log what a user should know."""
         memory = self.pipeline.memory
         result = {'frames': {'used': self.frames, 'dropped': dict(self.recording.dropped)},
-                  'voxels': memory.n_voxels, 'observations': memory.n_observations,
+                  'voxels': self.mapped.n_voxels, 'observations': memory.n_observations,
                   **self.metrics.result()}
         write_json(self.folder / 'metrics.json', result)
         self.timing = rundir.timing(self.watch, self.frames, memory.nbytes())
@@ -313,17 +322,19 @@ def replay(path: Path | str | Sequence[Path | str], out: Path | str, config: Con
         recording = stack.enter_context(Sessions(opened_all(paths, config, excerpt)))
         config = recording.recordings[-1].config    # with what the looks before took over
         correct_poses(recording.recordings, trajectory)
-        lock = stack.enter_context(attached(config))
-        memory = start_map(config)
+        stack.enter_context(attached(config))
         inputs = [part for given in paths for part in finding.split(given)]
+        watchers = [*watchers, *([ReportWatcher()] if report else [])]
+        legend = chosen_legend(config, recording)
+        mapped = None if pages(config, methods, watchers, causal) else start_map(config, legend)
         with rundir.building(out, force, keep=(*inputs, config.map.path)) as folder:
-            compile_kernels(methods)
-            watchers = [*watchers, *([ReportWatcher()] if report else [])]
-            job = Replay(recording, folder, config, methods, watchers, memory)
-            job.out, job.storage = Path(out), storage
-            result = job.run_causal() if causal else job.run()
-            if lock is not None:        # the whole session, or nothing of it
-                store.save(Path(config.map.path), job.pipeline.memory, config, job.legend)
+            with closing(mapped or Paged(folder, config, legend)) as mapped:
+                compile_kernels(methods)
+                job = Replay(recording, folder, config, methods, watchers, mapped)
+                job.out, job.storage = Path(out), storage
+                result = job.run_causal() if causal else job.run()
+            if config.map.attached:     # the whole session, or nothing of it
+                store.copy(folder / 'map.persem', Path(config.map.path))
             return result
 
 
@@ -390,32 +401,30 @@ def chosen_legend(config: Config, recording: Recording | Sessions) -> Legend:
     return legend.ignoring(config.memory.ignore_labels)
 
 
-def start_map(config: Config) -> VoxelMemory | None:
-    """Return the memory of map.path to go on with, or None."""
-    if not config.map.path:
-        return None
-    if config.map.attached and not Path(config.map.path).exists():
-        memory = VoxelMemory(config.memory.voxel_size, config.map.origin,
-                             config.memory.max_history)
-    else:
-        memory = store.load(config.map.path).memory(config)
-        memory.new_session()
-    memory.keeps_all = config.map.attached
-    return memory
+def pages(config: Config, methods: Sequence[str], watchers: Sequence[Watcher], causal: bool,
+          ) -> bool:
+    """
+    Return whether a replay does with a part of the map in memory; warn where one cannot.
 
+    Refuses an attached file that does not fit the settings.
 
-@contextmanager
-def attached(config: Config) -> Iterator[WriterLock | None]:
-    """Hold the right to write map.path where map.attached asks for it; else give None."""
+    """
     if not config.map.attached:
-        yield None
-        return
-    if not config.map.path:
-        raise PersemError('map.attached needs a file: --set map.path=map.persem')
-    path = Path(config.map.path)
-    lock = WriterLock(path)
-    try:
-        store.fold_log(path, locked=True)
-        yield lock
-    finally:
-        lock.close()
+        return False
+    others = {*methods} - {*IMAGE_METHODS, 'majority', config.refine.method}
+    why = ''
+    if not others <= SWEPT:
+        why = 'the method geometry beside another is measured on the whole map'
+    elif causal and others:
+        why = f'--causal measures {", ".join(sorted(others))} on the whole map'
+    elif any(getattr(watcher, 'whole_map', False) for watcher in watchers):
+        why = '--rerun follows the whole map'
+    if why:
+        if config.memory.max_voxels or config.memory.keep_radius:
+            log.warning('%s is held in memory as a whole: %s', config.map.path, why)
+        return False
+    if Path(config.map.path).exists():
+        stored = store.head(config.map.path).stored
+        stored.check_fits(config)
+        stored.warn_of_history(config)
+    return True

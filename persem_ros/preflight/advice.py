@@ -59,9 +59,9 @@ class Advice:
         """
         return [*self._about_ids(), *self._about_flags(seen_ids), *self._about_places()]
 
-    def about_voxels(self, memory: VoxelMemory) -> list[str]:
-        """Return what there is to say of the voxels' size: known as soon as the map is whole."""
-        return list(self._fit.sentences(memory))
+    def about_voxels(self, memory: VoxelMemory, voxels: int) -> list[str]:
+        """Return what there is to say of the voxels' size, so many in the whole map."""
+        return list(self._fit.sentences(memory, voxels))
 
     def _count(self, labels: NDArray[np.int32]) -> None:
         odd = (labels < 0) | (labels > MAX_ID)

@@ -50,9 +50,10 @@ class VoxelFit:
             self._footprints.append(
                 stride_of(frame, settings) * middle / float(frame.camera.K[0, 0]))
 
-    def sentences(self, memory: VoxelMemory) -> Iterator[str]:
-        """Yield what there is to say of the voxels of a map."""
-        if not self._depths or not memory.n_voxels:
+    def sentences(self, memory: VoxelMemory, voxels: int | None = None) -> Iterator[str]:
+        """Yield what there is to say of a map of so many *voxels*; None: all are in memory."""
+        voxels = memory.n_voxels if voxels is None else voxels
+        if not self._depths or not voxels:
             return
         depth, footprint = np.median(self._depths), float(np.median(self._footprints))
         size = memory.voxel_size
@@ -60,7 +61,7 @@ class VoxelFit:
             yield (f'a voxel of {size:g} m spans about {size / footprint:.0f} pixels at the '
                    f'median depth of {depth:.2g} m, so small things vanish in it: try '
                    f'--set memory.voxel_size={_rounded(GOOD * footprint)}')
-        seen = memory.n_observations / memory.n_voxels
+        seen = memory.n_observations / voxels
         if seen < SEEN and len(self._depths) >= FRAMES:
             proposal = _rounded(max(ENOUGH * footprint, 2 * size))
             yield (f'hardly any voxel was seen twice: {seen:.1f} observations per voxel in '

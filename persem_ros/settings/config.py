@@ -72,7 +72,8 @@ class Memory:
         0, 'newest observations that a refinement reads per voxel; 0: all', 'observations', 0,
         1 << 20, live=False)
     max_voxels: int = setting(
-        0, 'voxels kept in memory: where there are more, the farthest blocks go (node); 0: all',
+        0, 'voxels kept in memory: where there are more, the farthest blocks go (node, and '
+        'replays into attached maps); 0: all',
         'voxels', 0, 1 << 32)
     keep_radius: float = setting(
         0.0, 'blocks of voxels farther from the camera are forgotten (node); 0: none', 'm', 0.0,

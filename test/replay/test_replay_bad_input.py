@@ -3,6 +3,7 @@
 import json
 import os
 from pathlib import Path
+import shutil
 import subprocess
 import sys
 
@@ -368,14 +369,19 @@ PHASES = ('opening', 'integrating', 'refining', 'writing map.ply', 'writing map.
           'writing report.html')
 CAUSAL = ('integrating', 'closing')
 FORCE = ('refining', 'rendering', 'writing report.html')    # over the results of an earlier run
+ATTACHED = ('integrating', 'refining', 'rendering', 'handing over')     # a session for a map
+PAGING = ('--set=map.attached=true', '--set=memory.max_voxels=100', '--set=memory.voxel_size=0.1')
 SIZES = {'config.yaml': 2000, 'map.persem': 30_000, 'refined': 400_000}     # bytes a file may have
 
 
 def jobs(recording, noise, folder):
     """Return {(kind, phase): job}; the folder of each is folder/kind-phase."""
-    found = {}
+    found, mapped = {}, folder / 'mapped.persem'
+    assert main(['replay', str(recording), '--out', str(folder / 'mapped'), *PAGING,
+                 f'--set=map.path={mapped}']) == 0
     for kind, phases in (('SIGINT', PHASES), ('SIGKILL', PHASES), ('SIGINT-causal', CAUSAL),
-                         ('SIGKILL-causal', CAUSAL), ('SIGINT-force', FORCE)):
+                         ('SIGKILL-causal', CAUSAL), ('SIGINT-force', FORCE),
+                         ('SIGKILL-attached', ATTACHED)):
         for phase in phases:
             found[kind, phase] = {'phase': phase, 'signal': kind.partition('-')[0]}
     for name, size in SIZES.items():
@@ -389,8 +395,16 @@ def jobs(recording, noise, folder):
                             *(['--force'] if 'force' in kind else [])]
         if 'force' in kind:
             write_results(out)
+        if 'attached' in kind:
+            shutil.copy(mapped, map_of(out))
+            job['arguments'] += [*PAGING, f'--set=map.path={map_of(out)}']
     return {key: {'phase': '', 'signal': '', 'file_size': 0, **job}
             for key, job in found.items()}
+
+
+def map_of(out):
+    """Return the map that the job with these results adds to."""
+    return out.with_name(f'{out.name}.persem')
 
 
 def write_results(out):
@@ -452,6 +466,16 @@ def test_killed(ended, kind, phase):
     status, errors, out = ended[kind, phase]
     assert (status, errors) == (-9, '')
     assert not out.exists() or [p for p in out.iterdir() if not p.name.startswith('.')] == []
+
+
+@pytest.mark.parametrize('phase', ATTACHED)
+def test_a_session_that_was_killed_leaves_the_map_as_it_was(ended, phase):
+    status, errors, out = ended['SIGKILL-attached', phase]
+    assert (status, errors) == (-9, '')
+    mapped = out.with_name('mapped.persem').read_bytes()
+    assert map_of(out).read_bytes() == mapped
+    assert not any(map_of(out).with_name(f'{map_of(out).name}{end}').exists()
+                   for end in ('-wal', '-journal'))
 
 
 @pytest.mark.parametrize('phase', ['writing map.persem', 'recording', 'writing report.html'])

@@ -57,16 +57,19 @@ class Pager:
         The tick of the last state of the map that the store holds.
     columns : core.geometry.columns.Columns or None
         The lowest voxels of all columns that were looked at, for the method geometry.
+    turn : int
+        How often blocks came or left.
 
     """
 
     def __init__(self, memory: VoxelMemory, backing: Backing) -> None:
         self.memory, self.backing = memory, backing
         memory.pager = self
-        self.moment = 0
+        self.moment = self.turn = 0
         self.columns: Any = None
         self._absent: set[tuple[int, ...]] = set()  # blocks that the store is known not to have
         self._ringed = sparse_zeros(0, np.uint8)    # by block number: all blocks around are here
+        self._moved = sparse_zeros(0, np.int64)     # by block number: the turn it came or left at
 
     def need(self, index: NDArray[np.int32]) -> None:
         """Bring the blocks with these indices (n, 3) into memory, where the store has them."""
@@ -88,6 +91,7 @@ class Pager:
         stamps['shown'][blocks] = memory.clock
         stamps['evidence'][blocks] = stamps['stored'][blocks] = 0
         self._room()[blocks] = 0
+        self._note(blocks)
 
     def need_voxels(self, voxels: NDArray[np.int32]) -> None:
         """Bring the blocks of voxels (n, 3) into memory: they are about to be observed."""
@@ -174,7 +178,14 @@ class Pager:
         near = blocks['near'][numbers].reshape(-1)
         self._room()[near[near > 0].astype(np.int64) - 1] = 0
         self._absent -= set(map(tuple, blocks['index'][numbers].tolist()))
+        self._note(numbers)
         return leave(memory, numbers, kept=True)
+
+    def moved_since(self, blocks: NDArray[np.int64], turns: NDArray[np.int64],
+                    ) -> NDArray[np.bool_]:
+        """Return of each block number whether another block may have it than had it at a turn."""
+        self._room()
+        return self._moved[blocks] > turns
 
     @property
     def dirty_voxels(self) -> int:
@@ -200,10 +211,15 @@ class Pager:
         """Return the marks of the rings, long enough for all blocks."""
         n = self.memory.n_blocks
         if n > len(self._ringed):
-            longer = sparse_zeros(2 * n, np.uint8)
-            longer[:len(self._ringed)] = self._ringed
-            self._ringed = longer
+            self._ringed, self._moved = longer(self._ringed, 2 * n), longer(self._moved, 2 * n)
         return self._ringed
+
+    def _note(self, blocks: NDArray[np.int64]) -> None:
+        """Note that blocks with these numbers came, or leave."""
+        if len(blocks):
+            self.turn += 1
+            self._room()
+            self._moved[blocks] = self.turn
 
 
 class Checkpoint:
@@ -231,6 +247,13 @@ class Checkpoint:
         if self.written:
             self._pager.moment = max(self._pager.moment, self.capture.moment)
         return self.written
+
+
+def longer(column: NDArray[Any], n: int) -> NDArray[Any]:
+    """Return a copy of a column with n places, the new ones zero."""
+    fresh: NDArray[Any] = sparse_zeros(n, column.dtype)
+    fresh[:len(column)] = column
+    return fresh
 
 
 def block_numbers(memory: VoxelMemory, index: NDArray[np.int32]) -> NDArray[np.int64]:

@@ -55,7 +55,7 @@ class Job:
                         self.rho, self.n_ids, self.parameters)
 
 
-def refine(memory: VoxelMemory, settings: Refine, full: bool = True) -> int:
+def refine(memory: VoxelMemory, settings: Refine, full: bool = True, max_voxels: int = 0) -> int:
     """
     Refine the map: begin, compute, finish (spec section 3; section 4 for other methods).
 
@@ -68,6 +68,8 @@ def refine(memory: VoxelMemory, settings: Refine, full: bool = True) -> int:
     full : bool
         Take the class volatility anew and visit every voxel; False: keep the last volatility
         and visit the voxels whose own or neighbouring evidence changed.
+    max_voxels : int
+        As in refine_all(), where a store holds the rest of the map.
 
     Returns
     -------
@@ -76,7 +78,7 @@ def refine(memory: VoxelMemory, settings: Refine, full: bool = True) -> int:
 
     """
     if full and memory.pager is not None:
-        return sum(refine_all(memory, settings))
+        return sum(refine_all(memory, settings, max_voxels))
     job = begin(memory, settings, full)
     return finish(job, *job.compute())
 

@@ -13,6 +13,7 @@ from persem_ros.core.refine.snapshot import take
 
 if TYPE_CHECKING:
     from persem_ros.core.memory.voxel_memory import VoxelMemory
+    from persem_ros.core.refine.snapshot import Snapshot
 
 HIGH_SWITCH_RATE = 0.3
 HIGH_ENTROPY = 0.5          # nat
@@ -38,11 +39,17 @@ def regions(
     switch_rate : ndarray, shape (voxels,), float32
 
     """
-    taken, n = take(memory), memory.n_numbers
+    n = memory.n_numbers
     codes, entropy, rate = np.zeros(n, np.uint8), np.zeros(n, np.float32), np.zeros(n, np.float32)
+    classify(memory, take(memory), neighbours, codes, entropy, rate)
+    return codes, entropy, rate
+
+
+def classify(memory: VoxelMemory, taken: Snapshot, neighbours: int, codes: NDArray[np.uint8],
+             entropy: NDArray[np.float32], rate: NDArray[np.float32]) -> None:
+    """Write what regions() returns of a snapshot's refined rows, by voxel number."""
     split(_classify, taken.refined, memory.m.blocks, memory.m.voxels, taken.block, taken.cell,
           taken.number, taken.start, taken.shares, directions(neighbours), codes, entropy, rate)
-    return codes, entropy, rate
 
 
 def region_image(codes: NDArray[np.uint8], voxels: NDArray[np.int32]) -> NDArray[np.uint8]:

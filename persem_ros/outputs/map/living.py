@@ -56,6 +56,8 @@ class LivingMap:
         Settings in force; refused where voxels of these would not fit the map's.
     legend : callable
         legend() gives names and colours of the classes.
+    durable : bool
+        Have each write on the disk before it counts as done; else only a process may be killed.
 
     Attributes
     ----------
@@ -69,8 +71,10 @@ class LivingMap:
     _writer: sqlite3.Connection
     _reader: sqlite3.Connection
 
-    def __init__(self, path: Path, config: Config, legend: Callable[[], Legend]) -> None:
+    def __init__(self, path: Path, config: Config, legend: Callable[[], Legend],
+                 durable: bool = True) -> None:
         self.path, self.config, self.legend = path, config, legend
+        self._durable = durable
         self.damaged: set[tuple[int, ...]] = set()
         self._writing = threading.Lock()
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -95,7 +99,12 @@ class LivingMap:
     @property
     def voxels(self) -> int:
         """Return how many voxels the file holds."""
-        return int(self._about['voxels'])
+        return self.counts['voxels']
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Return how many blocks, voxels and observations the file holds, by these names."""
+        return {name: int(self._about[name]) for name in ('blocks', 'voxels', 'observations')}
 
     def index(self) -> NDArray[np.int32]:
         """Return the indices of all blocks, (n, 3) int32, ascending."""
@@ -174,7 +183,7 @@ class LivingMap:
         try:
             self._writer = _connected(path)
             self._writer.execute('PRAGMA journal_mode = WAL').fetchall()
-            self._writer.execute('PRAGMA synchronous = FULL')
+            self._writer.execute(f'PRAGMA synchronous = {"FULL" if self._durable else "OFF"}')
             self._reader = _connected(path)
         except (sqlite3.Error, ValueError) as error:
             raise PersemError(f'{path} cannot be attached ({error}); copy it to a disk that can '
@@ -182,7 +191,7 @@ class LivingMap:
 
     def _enter(self, db: sqlite3.Connection, changed: MemoryDump) -> tuple[dict[str, Any], int]:
         """Write all rows; return the new table about and the frame table's checksum."""
-        counts = {name: int(self._about[name]) for name in ('blocks', 'voxels', 'observations')}
+        counts = self.counts
         places, mended = ', '.join('?' * len(NAMES['blocks'])), False
         for row in block_rows(changed):
             if row[:3] in self.damaged:     # what lies there is not what was counted

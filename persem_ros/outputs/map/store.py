@@ -87,11 +87,8 @@ class StoredMap:
         saved = self.saved
         if config is not None:
             self.check_fits(config)
-            kept, wanted = saved.max_history, config.memory.max_history
-            if kept and not 0 < wanted <= kept:
-                log.warning('%s holds the newest %d observations of each voxel; older ones do '
-                            'not come back with memory.max_history %d', self.path, kept, wanted)
-            saved = replace(saved, max_history=wanted)
+            self.warn_of_history(config)
+            saved = replace(saved, max_history=config.memory.max_history)
         return load_memory(saved)
 
     def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -114,6 +111,13 @@ class StoredMap:
             if mine != other:
                 raise PersemError(f'{self.path} was made with {name} {mine}, now it is {other}; '
                                   f'give {name} {mine} or another map.path')
+
+    def warn_of_history(self, config: Config) -> None:
+        """Say where settings ask for observations that the map has let go of."""
+        kept, wanted = self.saved.max_history, config.memory.max_history
+        if kept and not 0 < wanted <= kept:
+            log.warning('%s holds the newest %d observations of each voxel; older ones do '
+                        'not come back with memory.max_history %d', self.path, kept, wanted)
 
 
 def save(path: Path | str, memory: VoxelMemory | MemoryDump, config: Config,
@@ -162,6 +166,22 @@ def write(path: Path | str, rows: dict[str, Any]) -> None:
             _keep_schema_1(path)
         except sqlite3.Error as error:
             raise PersemError(f'cannot write {path}: {error}') from error
+
+
+def copy(source: Path, path: Path) -> None:
+    """
+    Copy a finished map file to another name, whole or not at all.
+
+    Raises
+    ------
+    PersemError
+        As save() does; what was there before is untouched.
+
+    """
+    fold_log(path, locked=True)
+    with replacing(path) as work:
+        shutil.copyfile(source, work)
+        _keep_schema_1(path)
 
 
 def fold_log(path: Path | str, locked: bool = False) -> None:

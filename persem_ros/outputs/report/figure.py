@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from persem_ros.core.memory.voxel_memory import VoxelMemory
     from persem_ros.frames import Frame
     from persem_ros.outputs.report.strip import Sample
+    from persem_ros.outputs.results.mapped import Overview
     from persem_ros.rendering import Rendering
     from persem_ros.replay import Replay
     from persem_ros.settings.legend import Legend
@@ -49,7 +50,7 @@ class FigureWatcher:
         """Write the figure."""
         assert self._strip is not None, 'a replay without a frame is refused before its end'
         picture = figure(best(self._strip.chosen()), replay.config.refine.method, replay.legend,
-                         replay.pipeline.memory)
+                         replay.pipeline.memory, replay.mapped.overview())
         ending = self._path.suffix.lower()
         if ending == '.png':        # 32 levels a colour look the same and take a third less
             picture = picture & np.uint8(0xf8) | np.uint8(0x04)
@@ -66,7 +67,8 @@ def best(samples: list[Sample]) -> Sample:
     return max(samples, key=gain)
 
 
-def figure(sample: Sample, method: str, legend: Legend, memory: VoxelMemory) -> NDArray[np.uint8]:
+def figure(sample: Sample, method: str, legend: Legend, memory: VoxelMemory,
+           overview: Overview) -> NDArray[np.uint8]:
     """Return the figure, (H, 1600, 3) uint8 red green blue."""
     panels = _panels(sample, method, legend)
     columns = -(-len(panels) // 2)
@@ -82,9 +84,9 @@ def figure(sample: Sample, method: str, legend: Legend, memory: VoxelMemory) -> 
         canvas[y + TITLE:y + TITLE + h, x:x + w] = cv2.resize(
             image, (w, h), interpolation=cv2.INTER_AREA)
     x = WIDTH - GAP - map_width
-    _write(canvas, f'map from above, {memory.n_voxels:,} voxels', x, 24, INK)
+    _write(canvas, f'map from above, {overview.sources.sum():,} voxels', x, 24, INK)
     canvas[TITLE:-GAP, x:x + map_width] = _map(map_width, len(canvas) - TITLE - GAP, legend,
-                                               memory)
+                                               memory, overview)
     return canvas
 
 
@@ -110,10 +112,11 @@ def _panels(
     return result
 
 
-def _map(width: int, height: int, legend: Legend, memory: VoxelMemory) -> NDArray[np.uint8]:
+def _map(width: int, height: int, legend: Legend, memory: VoxelMemory,
+         overview: Overview) -> NDArray[np.uint8]:
     """Return the map from above with the camera's path and a scale bar, (height, width, 3)."""
     canvas = np.full((height, width, 3), (20, 24, 29), np.uint8)
-    top = maps.top_view(memory.voxels(), memory.voxel_size, legend)
+    top = maps.top_view(overview.columns, overview.voxel_size, legend)
     pixels = top['layers'][0]['pixels']
     rgb = np.where(pixels[..., 3:] > 0, pixels[..., :3], canvas[0, 0])
     factor = min(width / top['width'], height / top['height'])

@@ -18,6 +18,7 @@ from persem_ros.outputs.report.png import data_uri, png
 if TYPE_CHECKING:
     from persem_ros.core.memory.frame_table import FrameTable
     from persem_ros.inputs.recording.sessions import Sessions
+    from persem_ros.outputs.results.mapped import Overview
     from persem_ros.replay import Replay
     from persem_ros.settings.legend import Legend
 
@@ -49,8 +50,7 @@ def render(replay: Replay, result: dict[str, Any], frames: list[dict[str, Any]],
 
     """
     method = replay.config.refine.method
-    columns = replay.pipeline.memory.voxels()
-    voxels = dict(zip(*(a.tolist() for a in np.unique(columns['label'], return_counts=True))))
+    overview = replay.mapped.overview()
     legend, missing = replay.legend, replay.without_truth()
     context = {
         'name': replay.recording.name, 'method': method, 'result': result,
@@ -59,7 +59,7 @@ def render(replay: Replay, result: dict[str, Any], frames: list[dict[str, Any]],
         'has_color': any(p['key'] == 'color' for f in frames for p in f['panels']),
         'has_legend': bool(legend.classes), 'legend_title': legend.title,
         'frames': frames, 'strip_classes': _classes(legend, ids),
-        'sources': _sources(columns['source']), 'verdicts': _verdicts(),
+        'sources': _sources(overview.sources), 'verdicts': _verdicts(),
         'table': tables.methods_table(result['methods']), 'method_texts': METHOD_TEXTS,
         'method_names': list(result['methods']),
         'iou': tables.iou_rows(result, legend),
@@ -68,7 +68,7 @@ def render(replay: Replay, result: dict[str, Any], frames: list[dict[str, Any]],
                     for name, row in result['regions'].items()},
         'stages': tables.stages(replay.timing), 'timing': replay.timing,
         'memory': tables.memory_rows(replay.timing, result['voxels']),
-        'legend': tables.legend_rows(legend, voxels, ids),
+        'legend': tables.legend_rows(legend, overview.labels, ids),
         'changed': tables.changed_settings(replay.config),
         'command': tables.command(replay.recording.words, replay.out, replay.config,
                                   replay.methods, replay.causal),
@@ -78,7 +78,7 @@ def render(replay: Replay, result: dict[str, Any], frames: list[dict[str, Any]],
         'map_frame': replay.config.frames.map,
         'voxel_size': replay.pipeline.memory.voxel_size,
         'written': datetime.now(timezone.utc).strftime('%Y-%m-%d %H:%M UTC'),
-        **_map(replay, columns)}
+        **_map(replay, overview)}
     return environment().get_template('report.html').render(context)
 
 
@@ -103,12 +103,14 @@ def _number(value: float | None, digits: int = 0) -> str:
     return '–' if value is None else f'{value:,.{digits}f}'.replace(',', '\u202f')     # no break
 
 
-def _map(replay: Replay, columns: dict[str, Any]) -> dict[str, Any]:
+def _map(replay: Replay, overview: Overview) -> dict[str, Any]:
     """Return the map's pictures and the 3-D view's data."""
-    memory = replay.pipeline.memory
-    top = maps.top_view(columns, memory.voxel_size, replay.legend)
+    memory, coarse = replay.pipeline.memory, overview.voxel_size
+    top = maps.top_view(overview.columns, coarse, replay.legend)
     tracks = maps.tracks(memory)
-    view = cloud3d.packed(columns, memory.voxel_size, replay.legend, tracks)
+    view = cloud3d.packed(overview.columns, coarse, replay.legend, tracks)
+    view |= {'merged': view['merged'] * round(coarse / memory.voxel_size),
+             'voxels': int(overview.sources.sum())}
     for layer in top['layers']:
         layer['image'] = data_uri('image/png', png(layer.pop('pixels')))
     lines = [' '.join(f'{1000 * x:.1f},{1000 * y:.1f}' for x, y in maps.on_top(track, top))
@@ -122,9 +124,8 @@ def _classes(legend: Legend, ids: list[int]) -> list[dict[str, Any]]:
              'color': legend.color(i)} for i in ids]
 
 
-def _sources(source: NDArray[np.uint8]) -> list[dict[str, Any]]:
+def _sources(counts: NDArray[np.int64]) -> list[dict[str, Any]]:
     """Return name, meaning, colour and number of voxels of what can decide a label."""
-    counts = np.bincount(source, minlength=len(SOURCES))
     return [{'name': name, 'text': colors.SOURCE_TEXTS[name], 'color': color, 'voxels': int(n)}
             for name, color, n in zip(SOURCES, colors.SOURCE_COLORS, counts)]
 

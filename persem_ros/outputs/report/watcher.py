@@ -50,7 +50,7 @@ def offer(strip: Strip, replay: Replay, frame: Frame, rendering: Rendering) -> N
     """Count a rendered frame; keep a Sample of it if the strip wants it."""
     def make(number: int) -> Sample:
         memory = replay.pipeline.memory
-        sources = np.ascontiguousarray(memory.m.voxels['source'][:memory.n_voxels])
+        sources = np.ascontiguousarray(memory.m.voxels['source'][:memory.n_numbers])
         return sample(number, frame, rendering, replay.config.refine.method,
                       replay.config.render.fill, sources)
 

@@ -42,6 +42,8 @@ class RerunLog:
 
     """
 
+    whole_map = True        # it goes by the numbers of voxels
+
     def __init__(self, path: Path | str) -> None:
         self._rr = _rerun()
         self._path = path
