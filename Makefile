@@ -4,7 +4,8 @@
 # make lint          flake8 and pydocstyle with the rules of ament_flake8 and ament_pep257; mypy
 # make test-matrix   the tests with NumPy 1.26 + OpenCV 4 and with NumPy 2 + OpenCV 5
 # make ros-test      test/ros against the ROS 2 in /opt/ros/jazzy
-# make bench-long   a survey larger than its memory; ARGS="--voxels 5e7"
+# make bench-long   a survey larger than its memory; ARGS="--voxels 1e7"
+# make soak          two hours of flight into an attached map; ARGS="--minutes 10"
 # make bench-scale  persem build by recording, tile and observation; ARGS="--flights 8"
 # make bench-live  the node under load, through real DDS
 # make fuzz         files that mean harm, for MINUTES=30; prints its seed (SEED=n repeats it)
@@ -22,7 +23,7 @@ RUN := $(VENV)/bin/python
 PEP257 := --ignore=D100,D101,D102,D103,D104,D105,D106,D107,D203,D212,D404 --match='.*\.py'
 
 .DELETE_ON_ERROR:
-.PHONY: test demo bench bench-long bench-scale lint test-matrix ros-test bench-live fuzz signals clean docs docs-links
+.PHONY: test demo bench bench-long bench-scale soak lint test-matrix ros-test bench-live fuzz signals clean docs docs-links
 # A sourced ROS would put its own pytest plugins and messages into our environment.
 unexport PYTHONPATH
 
@@ -41,6 +42,9 @@ bench: $(VENV)/installed-bench
 
 bench-long: $(VENV)/installed
 	$(RUN) benchmarks/long.py $(ARGS)
+
+soak: $(VENV)/installed-evaluate
+	$(RUN) benchmarks/soak.py --figure build/soak.svg $(ARGS)
 
 bench-scale: $(VENV)/installed
 	$(RUN) benchmarks/scale.py $(ARGS)
