@@ -29,7 +29,7 @@ def connected(address: str) -> Iterator[Any]:
         from distributed import Client
     except ImportError as error:
         raise PersemError(f'--scheduler needs dask.distributed ({error}); install it with: pip '
-                          "install 'persem_ros[cluster]'") from None
+                          "install '.[cluster]'") from None
     _check_safe(address)
     try:
         begin: Any = Client

@@ -96,7 +96,7 @@ class Map:
         return dict(sorted(found.items(), key=lambda item: (-item[1], item[0])))
 
     def columns(self, box: Iterable[float] | None = None,
-                classes: Iterable[int | str] | int | str = (), min_observations: int = 1,
+                classes: Iterable[int | str] | int | str | None = None, min_observations: int = 1,
                 gone: bool = False) -> dict[str, NDArray[Any]]:
         """
         Return voxels as columns of NumPy, sorted by voxel index.
@@ -105,8 +105,8 @@ class Map:
         ----------
         box : 6 floats, optional
             x0 y0 z0 x1 y1 z1, metres in the map frame; centres must lie within.
-        classes : class ids or names, or one of them
-            Only voxels with these refined labels; none: all.
+        classes : class ids or names, or one of them, or names separated by commas
+            Only voxels with these refined labels; None: all.
         min_observations : int
             Only voxels that were observed so often.
         gone : bool
@@ -126,8 +126,9 @@ class Map:
                 if name not in LISTS}
 
     def probabilities(self, box: Iterable[float] | None = None,
-                      classes: Iterable[int | str] | int | str = (), min_observations: int = 1,
-                      gone: bool = False) -> tuple[list[int], NDArray[np.float32]]:
+                      classes: Iterable[int | str] | int | str | None = None,
+                      min_observations: int = 1, gone: bool = False
+                      ) -> tuple[list[int], NDArray[np.float32]]:
         """
         Return (ids, P): P (n, len(ids)) float32 has the shares of evidence, rows sum to 1.
 
@@ -159,7 +160,7 @@ class Map:
         return frame
 
     def chunks(self, box: Iterable[float] | None = None,
-               classes: Iterable[int | str] | int | str = (), min_observations: int = 1,
+               classes: Iterable[int | str] | int | str | None = None, min_observations: int = 1,
                gone: bool = False) -> Iterator[dict[str, NDArray[Any]]]:
         """
         Yield what columns() returns in parts, for maps that are larger than memory.
@@ -168,9 +169,17 @@ class Map:
         MapSource.chunks).
 
         """
-        words = [classes] if isinstance(classes, (int, str, np.integer)) else classes
-        wanted = Choice(min_observations, None if box is None else tuple(float(x) for x in box),
-                        labels_of(words, self.legend), gone)
+        words = None if classes is None else list(
+            map(str.strip, classes.split(',')) if isinstance(classes, str) else
+            [classes] if isinstance(classes, (int, np.integer)) else classes)
+        try:
+            corners = None if box is None else tuple(float(x) for x in box)
+        except (TypeError, ValueError):
+            raise PersemError('a box: expected six numbers x0 y0 z0 x1 y1 z1, '
+                              f'got {box!r}') from None
+        wanted = Choice(min_observations, corners, labels_of(words or (), self.legend), gone)
+        if words == []:
+            return
         for chunk in self._source.chunks(wanted):
             yield {'voxel': chunk['voxel'], 'xyz': self._source.centres(chunk['voxel']), **chunk}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any, TYPE_CHECKING
 
 from persem_ros.commands.options import add_map
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from persem_ros.settings.config import Config
     from persem_ros.settings.legend import Legend
 
+log = logging.getLogger(__name__)
 # Option, metavar, help; in the order in which they are written.
 FORMATS = (
     ('ply', 'OUT', 'points as in map.ply of a replay'),
@@ -26,6 +28,11 @@ FORMATS = (
     ('grid', 'DIR', 'costs for a vehicle on the ground as Nav2 loads them: map.yaml, map.pgm, and '
                     'classes beside'),
     ('tiles', 'DIR', '3D Tiles 1.1: point clouds by level of detail, tileset.json and tiles/'))
+# Of a format, by the end of its name: what it is and the package it needs.
+NEEDS = {('laz', ''): ('a LAS file', 'laspy'), ('laz', '.laz'): ('a LAZ file', 'lazrs'),
+         ('geotiff', ''): ('a GeoTIFF', 'rasterio'),
+         ('parquet', ''): ('a Parquet file', 'pyarrow'),
+         ('mesh', '.glb'): ('a .glb', 'trimesh')}
 INSIDE = {'grid': ('map.yaml',), 'tiles': ('tileset.json',)}       # of a folder: its chief file
 CHANGEABLE = ('grid.', 'map.crs', 'map.georeference')
 
@@ -70,6 +77,8 @@ def run(args: Namespace) -> None:
     choice = _choice(args, source.legend)
     for name, out in wanted:
         _check_free(args, name, out)
+        _check_able(name, out, source)      # before the first is written, which may take long
+    _compare_names(source, args.legend)
     for name, out in wanted:
         print(WRITERS[name](out, source, choice))
 
@@ -99,7 +108,10 @@ def _laz(out: str, source: MapSource, choice: Choice) -> str:
 def _geotiff(out: str, source: MapSource, choice: Choice) -> str:
     from persem_ros.outputs.export.raster import write_geotiff
     width, height = write_geotiff(out, source, choice)
-    return f'{width} x {height} pixels written to {out}{_where(source)}'
+    turn = source.config.map.georeference[3]
+    turned = f', turned by {turn:g} degrees against north (gdalwarp makes it north up)' \
+        if source.config.map.crs and turn else ''
+    return f'{width} x {height} pixels written to {out}{_where(source)}{turned}'
 
 
 def _mesh(out: str, source: MapSource, choice: Choice) -> str:
@@ -159,7 +171,9 @@ def _changed(source: MapSource, items: list[str]) -> Config:
 def _choice(args: Namespace, legend: Legend) -> Choice:
     """Return the Choice that the options make."""
     from persem_ros.outputs.export.source import Choice, labels_of
-    words = filter(None, (part.strip() for part in (args.classes or '').split(',')))
+    words = [part.strip() for part in (args.classes or '').split(',') if part.strip()]
+    if args.classes is not None and not words:
+        raise PersemError('--classes names no class; leave it out for all of them')
     return Choice(args.min_observations, tuple(args.crop) if args.crop else None,
                   labels_of(words, legend))
 
@@ -173,3 +187,27 @@ def _check_free(args: Namespace, name: str, out: str) -> None:
     if path.is_file() and not args.force:
         raise PersemError(f'{path} exists; give another name with --{name}, or --force to '
                           'replace it')
+
+
+def _check_able(name: str, out: str, source: MapSource) -> None:
+    """Refuse a format whose library or coordinate system is not there."""
+    from persem_ros.outputs.export.libraries import needed
+    from persem_ros.outputs.export.place import projected
+    for (option, end), (what, library) in NEEDS.items():
+        if option == name and out.endswith(end):
+            needed(library, what)
+    if name in ('laz', 'geotiff') and source.config.map.crs:
+        projected(source.config.map.crs)
+
+
+def _compare_names(source: MapSource, given: str | None) -> None:
+    """Warn where a legend calls what the map holds otherwise than the map does."""
+    own, seen = source.own_legend, set(source.seen)
+    if given is None or own is None:
+        return
+    other = [f'{own.name(c)} ({c}) is {source.legend.name(c)}' for c in own.ids
+             if c in seen and c in source.legend.ids and own.name(c) != source.legend.name(c)]
+    if other:
+        log.warning('--legend %s calls classes otherwise than the map: %s; if it is of another '
+                    'data set, colours, costs and codes are wrong', given,
+                    ', '.join(other[:4]) + (' …' if len(other) > 4 else ''))

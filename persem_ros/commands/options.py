@@ -62,7 +62,7 @@ def add_workers(parser: ArgumentParser) -> None:
                         help='processes side by side (default: one per core)')
     parser.add_argument('--scheduler', metavar='ADDRESS', default='',
                         help='let a dask cluster do the work, for example tls://host:8786; '
-                             "needs pip install 'persem_ros[cluster]'")
+                             "needs pip install '.[cluster]'")
 
 
 def methods_of(text: str) -> tuple[str, ...]:

@@ -43,7 +43,7 @@ def add_parser(subparsers: _SubParsersAction[Any]) -> None:
                              'opens sqlite3 without a plugin')
     parser.add_argument('--rerun', metavar='FILE.rrd',
                         help='log camera, images and the growing map for the Rerun viewer as well '
-                             "(pip install 'persem_ros[viewer]')")
+                             "(pip install '.[viewer]')")
     parser.add_argument('--figure', metavar='FILE.png',
                         help='write a picture of one frame and the map as well')
     parser.add_argument('--trajectory', metavar='FILE',

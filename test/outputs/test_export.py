@@ -301,8 +301,26 @@ def test_a_missing_library_is_one_line(town, tmp_path, capsys, monkeypatch, opti
     status = main(['map', 'export', str(town[0].path), option, str(tmp_path / 'a.laz')])
     out, err = capsys.readouterr()
     assert (status, out) == (1, '') and len(err.splitlines()) == 1
-    assert library in err and words in err and 'persem_ros[gis]' in err
+    assert library in err and words in err and '.[gis]' in err
     assert not list(tmp_path.iterdir())
+
+
+def test_nothing_is_written_where_one_of_several_cannot_be(town, tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, 'rasterio', None)
+    for wrong in (['--geotiff', str(tmp_path / 'a.tif')], ['--classes', ','],
+                  ['--laz', str(tmp_path / 'a.las'), '--set', 'map.crs=EPSG:1']):
+        assert main(['map', 'export', str(town[0].path), '--npz', str(tmp_path / 'a.npz'),
+                     *wrong]) == 1
+        assert len(capsys.readouterr().err.splitlines()) == 1 and not list(tmp_path.iterdir())
+
+
+def test_a_legend_of_another_data_set_is_said(town, tmp_path, capsys):
+    path = str(town[0].path)
+    assert main(['map', 'export', path, '--npz', str(tmp_path / 'a.npz'), '--legend',
+                 'cityscapes']) == 0
+    assert 'calls classes otherwise than the map' in capsys.readouterr().err
+    assert main(['map', 'export', path, '--npz', str(tmp_path / 'b.npz')]) == 0
+    assert not capsys.readouterr().err
 
 
 def test_several_at_once_and_what_is_refused(town, tmp_path, capsys):

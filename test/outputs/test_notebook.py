@@ -78,6 +78,7 @@ def test_table(opened):
     (lambda m: m.columns(classes='tee'), "no class 'tee', did you mean 'tree'"),
     (lambda m: m.columns(box=(1, 0, 0, 0, 1, 1)), 'expected x0 y0 z0 x1 y1 z1'),
     (lambda m: m.columns(box=(1, 2)), 'expected x0 y0 z0 x1 y1 z1'),
+    (lambda m: m.columns(box='abc'), 'expected six numbers'),
     (lambda m: m.history(0, 0, 0), 'nothing was observed at 0 0 0 m'),
     (lambda m: m.explain(float('nan'), 0, 1e300), 'nothing was observed'),
     (lambda m: persem_ros.open_map('nowhere.persem'), 'nowhere.persem: cannot be read')])
@@ -90,3 +91,10 @@ def test_a_missing_pandas_is_one_sentence(opened, monkeypatch):
     monkeypatch.setitem(__import__('sys').modules, 'pandas', None)
     with pytest.raises(PersemError, match='pip install pandas, or use columns'):
         opened[0].table()
+
+
+def test_a_list_of_classes_that_came_out_empty_chooses_nothing(opened):
+    a_map = opened[0]
+    assert len(a_map.columns(classes=[])['label']) == 0 < len(a_map.columns()['label'])
+    both = a_map.columns(classes='tree, 1')['label']
+    assert set(both) == set(a_map.columns(classes=['tree', 1])['label']) and len(set(both)) == 2

@@ -409,7 +409,7 @@ def test_rerun_is_named_when_it_is_missing(tmp_path, monkeypatch, capsys):
     bag = bags.write(tmp_path / 'flight')
     status = main(['replay', str(bag), '--out', str(tmp_path / 'out'), '--rerun', 'a.rrd'])
     assert status == 1
-    assert "pip install 'persem_ros[viewer]'" in capsys.readouterr().err
+    assert "pip install '.[viewer]'" in capsys.readouterr().err
     assert not (tmp_path / 'out').exists()
 
 

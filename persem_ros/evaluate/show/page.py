@@ -65,7 +65,7 @@ def check() -> None:
         import matplotlib  # noqa: F401 - only whether it is there
     except ImportError as error:
         raise PersemError(f'figures need matplotlib ({error}); install it with: pip install '
-                          "'persem_ros[evaluate]', or leave them out with --no-figures") from None
+                          "'.[evaluate]', or leave them out with --no-figures") from None
 
 
 def render(evaluation: dict[str, Any], figures: dict[str, list[dict[str, str]]]) -> str:

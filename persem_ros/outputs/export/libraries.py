@@ -25,5 +25,5 @@ def needed(name: str, what: str) -> Any:
     except ImportError:
         top = name.partition('.')[0]
         raise PersemError(f'{what} needs the Python package {top}, which is not installed; '
-                          f"pip install {PIP.get(top, top)}, or pip install 'persem_ros[gis]' "
-                          'for all exports') from None
+                          f'pip install {PIP.get(top, top)}, or in the checkout '
+                          "pip install '.[gis]' for all exports") from None

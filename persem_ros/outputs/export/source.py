@@ -111,6 +111,9 @@ class MapSource:
     config : persem_ros.settings.config.Config
         In force when the map was saved.
     legend : persem_ros.settings.legend.Legend
+        In force.
+    own_legend : persem_ros.settings.legend.Legend or None
+        The file's.
     n_voxels, n_blocks : int
     stamps : ndarray, shape (f,), int64
         Nanoseconds, by row of the frame table.
@@ -151,7 +154,7 @@ class MapSource:
         self.config: Config = config_file.from_text(
             about['settings'], f'settings in {self.path}') or Config()
         own = Legend.from_yaml(about['legend'], str(self.path)) if about['legend'] else None
-        self.legend = legend or own or Legend()
+        self.own_legend, self.legend = own, legend or own or Legend()
 
     def chunks(self, choice: Choice | None = None,
                blocks: int = BLOCKS) -> Generator[Columns, None, None]:

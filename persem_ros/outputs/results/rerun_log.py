@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from persem_ros.rendering import Rendering
     from persem_ros.replay import Replay
 
-EXTRA = "'persem_ros[viewer]'"
+EXTRA = "'.[viewer]'"
 MAP_STEPS = 100     # the map grows in about so many pieces
 
 
