@@ -77,13 +77,14 @@ def test_other_seed_other_flight(noisy_shots):
     assert (other.color != noisy_shots[0].color).mean() > 0.5
 
 
-def test_same_seed_same_bytes(tmp_path):
-    digests = []
-    for name in ('a', 'b'):
-        out = tmp_path / name / 'flight'
-        assert main(['simulate', str(out), '--frames', '2', '--size', '64x48']) == 0
-        digests.append([hashlib.sha256(path.read_bytes()).hexdigest()
-                        for path in sorted(out.iterdir())])
+def test_same_seed_same_bytes(exact, tmp_path):
+    # Two worlds, each made of the seed: the command's, and that of the tests.
+    assert main(['simulate', str(tmp_path / 'a' / 'flight'), '--frames', '2', '--size',
+                 '64x48']) == 0
+    with RecordingWriter(tmp_path / 'b' / 'flight') as out:
+        Flight(Plan(frames=2, width=64, height=48), world=exact.world).record(out)
+    digests = [[hashlib.sha256(path.read_bytes()).hexdigest()
+                for path in sorted((tmp_path / name / 'flight').iterdir())] for name in 'ab']
     assert len(digests[0]) == 2 and digests[0] == digests[1]
 
 
@@ -415,10 +416,11 @@ def test_a_loop_that_is_closed(exact):
     assert np.linalg.norm(twice[-1][:3, 3] - poses[-1][:3, 3]) > np.linalg.norm(away[-1])
 
 
-def test_the_recording_of_a_loop(tmp_path):
-    words = ['--frames', '3', '--rate', '0.5', '--size', '32x32', '--loop-closure']
-    assert main(['simulate', str(tmp_path / 'loop'), *words]) == 0
-    flight = Flight(replace(PLAN, frames=3, pose_errors=PoseErrors(odometry=1.0)))
+def test_the_recording_of_a_loop(exact, tmp_path):
+    flight = Flight(replace(PLAN, frames=3, width=32, height=32,
+                            pose_errors=PoseErrors(odometry=1.0)), world=exact.world)
+    with RecordingWriter(tmp_path / 'loop') as out:
+        flight.record(out)
     with AnyReader([tmp_path / 'loop']) as reader:
         found = [(c.topic, t, reader.deserialize(raw, c.msgtype)) for c, t, raw in
                  reader.messages() if c.topic in ('/corrected_path', '/true_pose')]
