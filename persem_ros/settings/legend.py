@@ -202,7 +202,7 @@ class Legend:
         return colors.reshape(*ids.shape, 3)
 
     def _colors_of_bytes(self, ids: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return colors() of an image of bytes by OpenCV: 0.3 ms a 640 x 480 image, not 0.9."""
+        """Return colors() of an image of bytes, by OpenCV."""
         packed = self._palette[:256]
         table = packed.view(np.uint8).reshape(256, 1, 4)
         if self.classes and not self._warned and not cv2.LUT(ids, table[:, 0, 3].copy()).all():

@@ -61,7 +61,7 @@ def region_image(codes: NDArray[np.uint8], voxels: NDArray[np.int32]) -> NDArray
 
 @kernel
 def _look_up(begin, end, codes, voxels, image):
-    """Write the code of each pixel's voxel (half the time of indexing by NumPy)."""
+    """Write the code of each pixel's voxel."""
     for p in range(begin, end):
         image[p] = codes[voxels[p]] if voxels[p] >= 0 else 0
 

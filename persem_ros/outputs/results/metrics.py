@@ -249,7 +249,8 @@ def mask_ids(ids, ignored, valid):
     Make pixels invalid whose id does not count.
 
     A loop over all pixels for each of the few ignored ids, which the compiler turns into vector
-    instructions, is five times as fast as looking up in a table what each pixel's id is.
+    instructions, is faster than looking each pixel's id up (with depth and truth, 640 x 480
+    pixels: 1.3 ms instead of 1.8).
 
     """
     for i in range(len(ids)):

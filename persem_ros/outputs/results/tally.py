@@ -19,10 +19,10 @@ class Tally:
     """
     The counts of one method: pixels by (true, predicted) id and region, flicker pairs.
 
-    Ids below 63, which nearly all legends have alone, are counted in a table of all pairs: twice
-    as fast or more as finding a pair's place, whose branches noisy labels mispredict (640 x 480
-    pixels: 0.6 ms instead of 1.8 to 2.8). Images with larger ones go to a table that is looked
-    up.
+    Ids below 63, which nearly all legends have alone, are counted in a table of all pairs:
+    finding a pair's place is full of branches, which noisy labels mispredict (all metrics of a
+    frame of 640 x 480, three methods: 6 ms instead of 12). Images with larger ids go to a table
+    that is looked up.
 
     """
 
