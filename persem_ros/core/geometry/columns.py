@@ -75,7 +75,10 @@ def cells_at(ground: Ground, cell: int) -> tuple[Cells, Cells]:
 
 def columns_of(index: NDArray[np.int32]) -> Columns:
     """Return the Columns of some upright voxels (n, 3)."""
-    tiles, tile = tiles_of(index >> 3)
+    keys = keys_of(index[:, :2] >> 3)
+    first = np.flatnonzero(np.diff(keys, prepend=keys[:1] - 1))     # they come block by block
+    tiles, tile = tiles_of(index[first] >> 3)
+    tile = np.repeat(tile, np.diff(np.append(first, len(keys))))
     lowest = np.full((len(tiles), TILE), NONE, np.int32)
     lower(index, tile, lowest)
     return Columns(tiles, lowest)

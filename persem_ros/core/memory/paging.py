@@ -146,7 +146,8 @@ class Pager:
             self.need_around(numbers)
             yield numbers
             if 0 < max_voxels < memory.n_voxels:
-                self.save()
+                if self.dirty_voxels:
+                    self.save()
                 middle = (part[-1] + 0.5) * SIDE * memory.voxel_size + memory.origin
                 self.let_go(middle, max_voxels)
 
