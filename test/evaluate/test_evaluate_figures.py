@@ -99,5 +99,5 @@ def test_one_method_and_one_frame(tmp_path, method):
 def test_missing_matplotlib_is_said(monkeypatch):
     import sys
     monkeypatch.setitem(sys.modules, 'matplotlib', None)
-    with pytest.raises(PersemError, match=r'persem_ros\[evaluate\].*--no-figures'):
+    with pytest.raises(PersemError, match=r"pip install '\.\[evaluate\]'.*--no-figures"):
         page.check()

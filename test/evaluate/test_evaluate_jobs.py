@@ -80,7 +80,7 @@ def test_no_scheduler_there(tasks, capsys, monkeypatch):
 
 def test_cluster_is_an_extra(tasks, monkeypatch):
     monkeypatch.setitem(sys.modules, 'distributed', None)
-    with pytest.raises(PersemError, match=r'persem_ros\[cluster\]'):
+    with pytest.raises(PersemError, match=r"pip install '\.\[cluster\]'"):
         by_place(jobs.results(tasks, scheduler='tcp://127.0.0.1:9'))
 
 
