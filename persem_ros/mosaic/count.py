@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-import time
 from typing import Any
 
 import numpy as np
@@ -14,9 +12,9 @@ from persem_ros.core.geometry.kept import within
 from persem_ros.core.geometry.looks import looks_from, model_of
 from persem_ros.core.geometry.parameters import FIRST_RHO
 from persem_ros.core.geometry.totals import arrays_of
-from persem_ros.core.warmup import warm_up
 from persem_ros.mosaic.folder import load_array, load_arrays, load_folder, save_arrays
 from persem_ros.mosaic.plan import Tile
+from persem_ros.mosaic.task import timed
 from persem_ros.settings.config import Geometry
 
 
@@ -55,10 +53,9 @@ class Counting:
         return self.tile.name
 
 
-def count(task: Counting, tick: Callable[..., Any] | None = None) -> dict[str, Any]:
+@timed
+def count(task: Counting) -> dict[str, Any]:
     """Write the sums of a tile; return what that took."""
-    warm_up(False)
-    began = time.perf_counter()
     columns = Columns(load_array(task.tiles), load_array(task.lowest))
     model: Any = model_of(looks_from(load_arrays(task.looks)), columns,
                           np.array(load_array(task.classes)), task.constants)
@@ -68,6 +65,4 @@ def count(task: Counting, tick: Callable[..., Any] | None = None) -> dict[str, A
         sums = model.start(FIRST_RHO)
     cells = [cells_listed(known) for known in model.cells]
     save_arrays(task.path, {**arrays_of(sums), 'cells': cells[0], 'shifted_cells': cells[1]})
-    if tick is not None:
-        tick()
-    return {'seconds': round(time.perf_counter() - began, 3)}
+    return {}

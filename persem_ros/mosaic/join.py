@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-import time
 from typing import Any
 
 import numpy as np
@@ -12,6 +10,7 @@ from persem_ros.errors import PersemError
 from persem_ros.mosaic.blocks import joined
 from persem_ros.mosaic.folder import load_array
 from persem_ros.mosaic.plan import Tile
+from persem_ros.mosaic.task import timed
 from persem_ros.outputs.map import store
 from persem_ros.outputs.map.checks import check_blocks
 from persem_ros.settings.config import Config
@@ -58,7 +57,8 @@ class Joining:
         return self.tile.name
 
 
-def join(task: Joining, tick: Callable[..., Any] | None = None) -> dict[str, Any]:
+@timed
+def join(task: Joining) -> dict[str, Any]:
     """
     Write a tile, not refined and without frames, as a map file; return what it came to.
 
@@ -68,7 +68,6 @@ def join(task: Joining, tick: Callable[..., Any] | None = None) -> dict[str, Any
         When a part is damaged, or the file cannot be written.
 
     """
-    began = time.perf_counter()
     t, seen = load_array(task.stamps), np.array(load_array(task.seen))
     blocks = []
     for part in task.parts:
@@ -83,9 +82,6 @@ def join(task: Joining, tick: Callable[..., Any] | None = None) -> dict[str, Any
                    task.config.map.origin, task.config.memory.max_history)
     store.save(task.path, whole, task.config)
     ids = np.flatnonzero(whole.starts)
-    if tick is not None:
-        tick()
     return {'tile': [task.tile.i, task.tile.j], 'blocks': len(whole.block_index),
             'voxels': len(whole.cell), 'observations': int(whole.observations.sum(dtype=int)),
-            'pairs': [[int(c), int(whole.starts[c]), int(whole.changes[c])] for c in ids],
-            'seconds': round(time.perf_counter() - began, 3)}
+            'pairs': [[int(c), int(whole.starts[c]), int(whole.changes[c])] for c in ids]}

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-import time
 from typing import Any
 
 import numpy as np
@@ -14,9 +12,9 @@ from persem_ros.core.geometry.looks import look as look_at, pairs_of
 from persem_ros.core.memory.paging import block_numbers
 from persem_ros.core.refine.job import number_of_ids
 from persem_ros.core.refine.reach import surrounded
-from persem_ros.core.warmup import warm_up
 from persem_ros.mosaic.folder import save_arrays
 from persem_ros.mosaic.surroundings import Surrounded
+from persem_ros.mosaic.task import timed
 
 
 @dataclass(frozen=True)
@@ -32,18 +30,14 @@ class Looking:
         return self.of.name
 
 
-def look(task: Looking, tick: Callable[..., Any] | None = None) -> dict[str, Any]:
+@timed
+def look(task: Looking) -> dict[str, Any]:
     """Write the core.geometry.looks.Looks and Columns of a tile; return what it came to."""
-    warm_up(False)
-    began = time.perf_counter()
     own, memory = task.of.read()
     settings = task.of.config.refine
     beside = number_of_ids(memory) > MOST_DENSE
     taken = surrounded(memory, settings, block_numbers(memory, own.block_index), int(beside))
     looks = look_at(memory, taken, settings, beside)
     save_arrays(task.path, {**looks.arrays(), **columns_of(looks.index)._asdict()})
-    if tick is not None:
-        tick()
     return {'classes': np.unique(looks.votes.classes).tolist(), 'voxels': len(looks.shape),
-            'pairs': list(pairs_of(looks.votes)),
-            'seconds': round(time.perf_counter() - began, 3)}
+            'pairs': list(pairs_of(looks.votes))}

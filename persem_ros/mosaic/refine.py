@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-import time
 from typing import Any
 
 import numpy as np
@@ -18,10 +16,10 @@ from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine import snapshot
 from persem_ros.core.refine.job import finish, Job, number_of_ids
 from persem_ros.core.refine.reach import ASIDE, surrounded
-from persem_ros.core.warmup import warm_up
 from persem_ros.mosaic.fit import Fitted
 from persem_ros.mosaic.folder import load_array
 from persem_ros.mosaic.surroundings import empty, Surrounded
+from persem_ros.mosaic.task import timed
 from persem_ros.outputs.map import store
 from persem_ros.settings.config import Refine
 
@@ -52,10 +50,9 @@ class Refining:
         return self.of.name
 
 
-def refine(task: Refining, tick: Callable[..., Any] | None = None) -> dict[str, Any]:
+@timed
+def refine(task: Refining) -> dict[str, Any]:
     """Write a tile anew with refined labels; return what it took."""
-    warm_up(False)
-    began = time.perf_counter()
     config, tile = task.of.config, task.of.tile
     own, memory = task.of.read()
     memory.rho = np.array(load_array(task.rho))
@@ -70,9 +67,7 @@ def refine(task: Refining, tick: Callable[..., Any] | None = None) -> dict[str, 
             'label': done.label[here], 'source': done.source[here],
             'posterior': done.posterior[here], 'dirty': np.zeros(len(own.cell), np.uint8)}),
         config)
-    if tick is not None:
-        tick()
-    return {'tile': [tile.i, tile.j], 'seconds': round(time.perf_counter() - began, 3)}
+    return {'tile': [tile.i, tile.j]}
 
 
 def _job(memory: VoxelMemory, blocks: NDArray[np.int64], settings: Refine,
