@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from persem_ros.preflight.findings import REFUSE
-from persem_ros.ros.inputs import TF_STATIC
+from persem_ros.ros.topic import TF_STATIC
 
 if TYPE_CHECKING:
     from persem_ros.ros.inbox import Inbox
-    from persem_ros.ros.inputs import Input, Inputs
+    from persem_ros.ros.inputs import Inputs
+    from persem_ros.ros.topic import Input
     from persem_ros.ros.worker import Worker
     from rclpy.node import Node
 

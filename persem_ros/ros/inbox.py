@@ -11,7 +11,7 @@ from typing import NamedTuple, TYPE_CHECKING
 from persem_ros.inputs.sync.pairing import LABELS
 
 if TYPE_CHECKING:
-    from persem_ros.ros.inputs import Input
+    from persem_ros.ros.topic import Input
     from persem_ros.settings.config import Sync
 
 MAX_SMALL = 20000       # poses and camera infos; images are bounded in seconds and bytes

@@ -11,7 +11,6 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TransformS
 from nav_msgs.msg import Odometry, Path
 from persem_ros.errors import PersemError
 from persem_ros.inputs.decode import px4
-from persem_ros.inputs.decode.messages import BadMessage, header
 from persem_ros.inputs.intake import (
     INFO, LABELS_INFO, LEGEND, ORDER, POSE, TF, TRAJECTORY)
 from persem_ros.inputs.recording.topics import roles_of
@@ -20,6 +19,7 @@ from persem_ros.inputs.sync.pairing import (
 from persem_ros.inputs.sync.poses import PoseBuffer
 from persem_ros.ros.inbox import Item
 from persem_ros.ros.messages import DisparityImage, INSTALL, LabelInfo, VehicleOdometry
+from persem_ros.ros.topic import Input, MessageClass, TF_STATIC, type_name
 from persem_ros.settings.config import Labels, Topics, topics_of
 from rclpy.event_handler import SubscriptionEventCallbacks, UnsupportedEventTypeError
 from rclpy.qos import (
@@ -37,94 +37,12 @@ if TYPE_CHECKING:
     from rclpy.subscription import Subscription
     from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-MessageClass = Any      # one that rosidl has generated: these share no base
-TF_STATIC = 'tf_static'
 OPTIONAL = (COLOR, TF_STATIC, LABELS_INFO, LEGEND, TRAJECTORY)     # nobody need publish them
 QOS_OF = {CONFIDENCE: LABELS, DEPTH_CONFIDENCE: DEPTH}
 POSES = {cls.__name__: cls for cls in (PoseStamped, PoseWithCovarianceStamped, Odometry,
                                        TransformStamped, VehicleOdometry) if cls}
 SHOWN = 4               # topics in a sentence
 SMALL_FACTOR = 50       # poses and camera infos kept per image: they outlast a busy second or ten
-
-
-class Input:
-    """
-    One topic that is listened to.
-
-    Parameters
-    ----------
-    role : str
-        'labels', 'depth', 'color', 'camera_info', 'labels_info', 'legend', 'pose', 'tf',
-        'tf_static' or 'trajectory'.
-    name : str
-        The topic as the settings name it, relative.
-    topic : str
-        The same after namespace and remapping.
-    takers : list
-        Stations or pose buffers that its messages are for.
-    choices : list of (str, message class)
-        What may be there: (topic, type), the preferred one first.
-    setting : str
-        Its qos.* setting: 'auto', 'best_effort', 'reliable' or 'latched'.
-    depth : int
-        Messages that the middleware keeps.
-
-    Attributes
-    ----------
-    chosen : int or None
-        Which of the choices it listens to.
-    reliability : str
-        'best_effort', 'reliable' or 'latched': what was subscribed with, '' for nothing.
-    count : int
-        Messages that came.
-    came : float or None
-        When the last one came, time.monotonic().
-    lost : int
-        Messages that the middleware says it has lost.
-
-    """
-
-    def __init__(self, role: str, name: str, topic: str, takers: list[Taker],
-                 choices: list[tuple[str, MessageClass]], setting: str, depth: int) -> None:
-        """Keep what belongs together; nothing is subscribed yet."""
-        self.role, self.name, self.topic, self.takers = role, name, topic, takers
-        self.choices, self.setting, self.depth = choices, setting, depth
-        self.is_image = role in ORDER
-        self.chosen: int | None = None
-        self.reliability = ''
-        self.subscriptions: list[Subscription] = []
-        self.count = self.lost = 0
-        self.came: float | None = None
-        self._last = b''
-
-    @property
-    def stamp(self) -> int | None:
-        """Stamp of the last message in ns, None where there is none."""
-        return self.stamp_of(self._last)
-
-    @property
-    def listened(self) -> str:
-        """Return the topic that it listens to, after remapping."""
-        return self.choices[self.chosen][0] if self.chosen else self.topic
-
-    def stamp_of(self, data: bytes) -> int | None:
-        """Return the stamp of one of its messages in ns, None where it cannot be read."""
-        if self.role == LEGEND:
-            return None
-        if self.chosen is not None and type_name(self.choices[self.chosen][1]) == px4.TYPE:
-            return px4.stamp_of(data)
-        if self.role in (TF, TF_STATIC):        # a sequence, whose first item has the header
-            data = data[:4] + data[8:]
-        try:
-            return header(data)[0]
-        except BadMessage:
-            return None
-
-    def note(self, data: bytes) -> None:
-        """Count a message."""
-        self.count += 1
-        self.came = time.monotonic()
-        self._last = data[:512]     # an image is not kept alive for its stamp
 
 
 class Inputs:
@@ -391,11 +309,6 @@ class Inputs:
     def _received(self, one: Input, kind: str, data: bytes) -> None:
         one.note(data)
         self._inbox.put(Item(time.monotonic_ns(), one, kind, data))
-
-
-def type_name(cls: MessageClass) -> str:
-    """Return the name of a message class: 'sensor_msgs/msg/Image'."""
-    return f'{cls.__module__.partition(".")[0]}/msg/{cls.__name__}'
 
 
 def beside(topic: str, name: str) -> Iterator[str]:

@@ -3,7 +3,7 @@
 import logging
 import time
 
-from persem_ros.ros.inputs import Input
+from persem_ros.ros.topic import Input
 
 log = logging.getLogger(__name__)
 THROTTLE = 10.0         # s between two warnings of one topic

@@ -4,7 +4,8 @@ import logging
 import time
 
 from persem_ros.ros.counters import Statistics
-from persem_ros.ros.inputs import Input, Inputs
+from persem_ros.ros.inputs import Inputs
+from persem_ros.ros.topic import Input
 
 log = logging.getLogger(__name__)
 PATIENCE = 5.0      # s

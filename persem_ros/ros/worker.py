@@ -40,8 +40,8 @@ if TYPE_CHECKING:
     from persem_ros.ros.first_look import FirstLook
     from persem_ros.ros.images import ImageOutputs
     from persem_ros.ros.inbox import Inbox, Item
-    from persem_ros.ros.inputs import Input
     from persem_ros.ros.map import MapOutputs
+    from persem_ros.ros.topic import Input
     from persem_ros.settings.config import Config
     from persem_ros.settings.legend import Legend
 
