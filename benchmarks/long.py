@@ -17,7 +17,7 @@ import time
 import numpy as np
 from persem_ros.core.frame.observe import Observations
 from persem_ros.core.memory.paging import Pager
-from persem_ros.core.refine.job import begin_next, finish, refine_all
+from persem_ros.core.refine.job import begin_next, blocks_at_once, finish, refine_all
 from persem_ros.core.warmup import warm_up
 from persem_ros.outputs.map.living import LivingMap
 from persem_ros.settings.config import Config, updated
@@ -117,7 +117,9 @@ class Survey:
     def refined(self):
         """Refine what is in the file and in memory; return the seconds that it took."""
         begin = time.perf_counter()
-        for _ in refine_all(self.pager.memory, self.config.refine, self.bound):
+        memory = self.pager.memory
+        for _ in refine_all(memory, self.config.refine, self.bound,
+                            blocks_at_once(memory, self.bound)):
             self.rss = max(self.rss, resident())
         self.pager.save()
         return time.perf_counter() - begin

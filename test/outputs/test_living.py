@@ -109,7 +109,7 @@ def test_a_run_that_paged_equals_one_that_never_did(tmp_path_factory, seed, boun
     pager.memory.resume(pager.memory.frames, pager.memory.session)
     most = max(most, mapped(pager, seen[12:], settings, rng, bound))
     refine(straight, settings)
-    visited = sum(refine_all(pager.memory, settings, bound))
+    visited = sum(refine_all(pager.memory, settings, bound, int(rng.choice([3, 64, 1000]))))
     pager.save()
     living.close()
     gone = np.count_nonzero(straight.m.voxels['gone'][:straight.n_numbers])

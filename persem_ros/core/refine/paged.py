@@ -10,7 +10,7 @@ from persem_ros.core.geometry.columns import columns_of
 from persem_ros.core.geometry.kept import filled, Tally, with_cells
 from persem_ros.core.geometry.upright import up_of, upright
 from persem_ros.core.refine import snapshot
-from persem_ros.core.refine.reach import ASIDE, surrounded
+from persem_ros.core.refine.reach import ASIDE, surrounded, Surroundings
 from persem_ros.core.refine.sweep import next_blocks, Sweep
 
 
@@ -24,7 +24,8 @@ def part(memory: Any, settings: Any, news: bool) -> snapshot.Snapshot:
     Parameters
     ----------
     memory : core.memory.voxel_memory.VoxelMemory
-        It has a pager, whose columns are brought up to date.
+        It has a pager. Its columns are brought up to date by learn(), beside the mapping; here
+        only where there are none.
     settings : persem_ros.settings.config.Refine
         up, geometry and sweep.
     news : bool
@@ -34,24 +35,24 @@ def part(memory: Any, settings: Any, news: bool) -> snapshot.Snapshot:
     pager, changed = memory.pager, memory.changed_blocks()
     if news or pager.columns is None:
         taken = snapshot.take(memory, shares=False)
-        _learn(pager, taken, settings)
         if news:
             memory.sweep, memory.tally, memory.rho_of = None, None, memory.n_observations
             return taken
+        learn(pager, taken, settings)
     _next_sweep(memory, settings.geometry)
     pager.need_around(changed)
     also = pager.ringed(next_blocks(memory.sweep, memory.m.blocks, memory.table, settings.sweep))
     near = snapshot.blocks_around(memory.m.blocks, changed, memory.n_blocks)
     near = np.setdiff1d(pager.ringed(near), also)
     taken = surrounded(memory, settings, np.concatenate([also, near]), ASIDE, pager.columns)
-    _learn(pager, taken, settings)
     swept = np.isin(taken.block[:taken.refined], also)      # they come first
     return replace(taken, swept=int(np.count_nonzero(swept)))
 
 
-def _learn(pager: Any, taken: snapshot.Snapshot, settings: Any) -> None:
-    """Note the lowest voxels of the columns of a snapshot."""
-    news = columns_of(upright(taken.index, up_of(settings.up)))
+def learn(pager: Any, taken: snapshot.Snapshot, settings: Any) -> None:
+    """Note the lowest voxels of the columns of a snapshot; any thread may, one at a time."""
+    news = taken.relief.own if isinstance(taken.relief, Surroundings) else \
+        columns_of(upright(taken.index, up_of(settings.up)))
     pager.columns = news if pager.columns is None else pager.columns.and_those(news)
 
 

@@ -34,26 +34,53 @@ class Surroundings:
     """
     What core.geometry.relief.Relief tells of a whole map, around some blocks of one.
 
+    What it takes to tell the ground is found when it is asked for: beside the mapping.
+
     Attributes
     ----------
-    bits, tile
+    bits : ndarray, shape (blocks, 64), uint8
         As there.
-    columns : Columns
-        All that decide on the ground under the blocks.
+    near : ndarray, shape (b,), int64
+        The blocks whose bits these are.
+    corners : ndarray, shape (b, 2), int32
+        The tiles in which they lie.
+    index : ndarray, shape (n, 3), int32
+        Upright indices of the snapshot's voxels.
+    columns : Columns or None
+        Of the whole map; None: the ground does not matter.
     window : int
         Of the opening.
 
     """
 
     bits: NDArray[np.uint8]
-    tile: NDArray[np.int32]
-    columns: Columns
+    near: NDArray[np.int64]
+    corners: NDArray[np.int32]
+    index: NDArray[np.int32]
+    columns: Optional[Columns]
     window: int
 
     @cached_property
+    def own(self) -> Columns:
+        """Return the columns of the snapshot."""
+        return columns_of(self.index)
+
+    @cached_property
+    def around(self) -> Columns:
+        """Return all columns that decide on the ground under the blocks."""
+        return self.own if self.columns is None else self.columns.around(self.own, self.window)
+
+    @cached_property
+    def tile(self) -> NDArray[np.int32]:
+        """Return the place, by block number, of a block's tile among those of the ground."""
+        tile = sparse_zeros(len(self.bits), np.int32)
+        tile[self.near] = self.around.places(self.corners)
+        return tile
+
+    @cached_property
     def ground(self) -> Ground:
-        """Return the ground, found when it is asked for: beside the mapping."""
-        return self.columns.ground(self.window)
+        """Return the ground."""
+        return self.around.ground(self.window)
 
 
 def reached(memory: Any, settings: Any, everywhere: bool,
@@ -154,12 +181,9 @@ def surrounded(memory: Any, settings: Any, numbers: NDArray[np.int64], rings: in
         ends.append(end)
     block, cell, number = (column[:end] for column in lists)
     taken = snapshot.copied(memory, block, cell, number, ends[0], shares=False)
-    own, window = columns_of(upright(taken.index, up)), settings.geometry.window
-    found = own if columns is None else columns.around(own, window)
-    tile = sparse_zeros(n, np.int32)
-    tile[near] = found.places(upright(blocks['index'][near], up)[:, :2])
-    return replace(taken, relief=Surroundings(bits, tile, found, window),
-                   reshaped=np.arange(end))
+    return replace(taken, reshaped=np.arange(end), relief=Surroundings(
+        bits, near, upright(blocks['index'][near], up)[:, :2], upright(taken.index, up), columns,
+        settings.geometry.window))
 
 
 def at_hand(memory: Any, voxel: NDArray[np.int32],
