@@ -121,7 +121,7 @@ class Mover:
             raise
         if not move.captured:
             if found:
-                move.capture = Capture(move.memory)
+                move.capture = Capture(move.memory, evidence=False)
             else:
                 self._end()         # nothing that would move
             return None

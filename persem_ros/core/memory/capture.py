@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.memory.dump import (
     evidence_of_voxels, habits_of, looks_through, MemoryDump, read_histories)
-from persem_ros.core.memory.pools import ranges, sparse_zeros
+from persem_ros.core.memory.pools import joined, ranges, sparse_zeros, taken
 from persem_ros.core.memory.voxel_memory import sort_order
 
 if TYPE_CHECKING:
@@ -60,6 +60,8 @@ class Capture:
         The map.
     since : int, optional
         A tick of its clock: blocks that did not change after it are left out; None: none is.
+    evidence : bool
+        False: the dump has none, for whoever adds the observations up again.
 
     Attributes
     ----------
@@ -68,8 +70,10 @@ class Capture:
 
     """
 
-    def __init__(self, memory: VoxelMemory, since: int | None = None) -> None:
+    def __init__(self, memory: VoxelMemory, since: int | None = None,
+                 evidence: bool = True) -> None:
         self._memory, self._since = memory, -1 if since is None else since
+        self._evidence = evidence
         self._copied = sparse_zeros(max(1, memory.n_blocks), np.int64)
         self._slices: list[_Slice] = []
         self._most = float(LAST)
@@ -90,7 +94,7 @@ class Capture:
             most = SLICE if voxels is None else voxels
             n = max(1, int(np.searchsorted(np.cumsum(counts), most)))
             due, counts = due[:n], counts[:n]
-        self._slices.append(_copied(memory, due, counts))
+        self._slices.append(_copied(memory, due, counts, self._evidence))
         self._copied[due] = memory.clock + 1
         if ended:
             self._small = _small_of(memory)
@@ -188,31 +192,33 @@ def _dump_of(memory: VoxelMemory, slices: list[_Slice], small: tuple[Any, ...]) 
     order = sort_order(index)
     index, last = index[order], last[order]
     rows = ranges(start[last], counts[last])
-    joined = {name: np.concatenate([getattr(one, name) for one in slices])[rows]
-              for name in ('cell', 'records', 'posterior', 'dirty', 'passed', 'passed_at')}
-    records = joined['records']
+    own = {name: taken(joined([getattr(one, name) for one in slices]), rows)
+           for name in ('cell', 'records', 'posterior', 'dirty', 'passed', 'passed_at')}
+    records = own['records']
     evidence_start, evidence_class, evidence_sum = _evidence(slices, rows)
     history_start, label, confidence, frame, offset = read_histories(memory, records)
     session, starts, changes, seen_ids, rho, frames, habits, by = small
     return MemoryDump(
-        index, np.concatenate([[0], np.cumsum(counts[last])]), joined['cell'].astype(np.uint16),
+        index, np.concatenate([[0], np.cumsum(counts[last])]), own['cell'].astype(np.uint16),
         records['n'], records['switches'], records['label'], records['majority'],
-        records['last'], records['first_label'], records['source'], joined['dirty'],
-        records['gone'], joined['posterior'], joined['passed'], joined['passed_at'],
+        records['last'], records['first_label'], records['source'], own['dirty'],
+        records['gone'], own['posterior'], own['passed'], own['passed_at'],
         evidence_start, evidence_class, evidence_sum, history_start, label, confidence, frame,
         offset, memory.voxel_size, memory.origin, memory.kept_history, session, starts, changes,
         seen_ids, rho, frames, habits, by)
 
 
-def _copied(memory: VoxelMemory, blocks: NDArray[np.int64], counts: NDArray[np.int64]) -> _Slice:
+def _copied(memory: VoxelMemory, blocks: NDArray[np.int64], counts: NDArray[np.int64],
+            evidence: bool = True) -> _Slice:
     """Return a slice of the given blocks."""
     block, cell, number = memory.listing(blocks)
-    records, beliefs = memory.m.voxels[number], memory.store.beliefs[number]
+    records, beliefs = taken(memory.m.voxels, number), taken(memory.store.beliefs, number)
     dirty = memory.m.blocks['changed'][block, cell >> 3] >> (cell & 7).astype(np.uint8) & 1
     posterior = np.where(beliefs['label'] == records['label'], beliefs['posterior'],
                          np.float32(0))
     passed, passed_at = looks_through(memory, number, records['n'])
-    start, classes, sums = evidence_of_voxels(memory, number)
+    start, classes, sums = evidence_of_voxels(memory, number) if evidence else (
+        np.zeros(len(number) + 1, np.int64), np.empty(0, np.uint16), np.empty(0))
     return _Slice(blocks, counts, cell, records, posterior, dirty, passed, passed_at, start,
                   classes, sums)
 
@@ -224,5 +230,5 @@ def _evidence(slices: list[_Slice], rows: NDArray[np.int64],
     begin = np.concatenate([[0], np.cumsum(counts)])
     start = np.concatenate([[0], np.cumsum(counts[rows])])
     entries = ranges(begin[rows], counts[rows])
-    return (start, np.concatenate([one.classes for one in slices])[entries],
-            np.concatenate([one.sums for one in slices])[entries])
+    return (start, joined([one.classes for one in slices]).take(entries),
+            joined([one.sums for one in slices]).take(entries))

@@ -16,7 +16,7 @@ from persem_ros.core.memory.dump import MemoryDump
 from persem_ros.core.memory.frame_table import FrameTable
 from persem_ros.core.memory.pools import SIDE
 from persem_ros.core.memory.regroup import (
-    bounds, displace, gather, leaving, number, ordered, recount)
+    bounds, displace, gather, leaving, number, ordered, recount, voxels_of)
 from persem_ros.core.trajectory import Correction, correction, Trajectory
 from persem_ros.core.transforms import inverses
 from persem_ros.errors import PersemError
@@ -165,7 +165,9 @@ def regrouped(voxels: NDArray[np.int32], owner: NDArray[np.int32], gone: NDArray
         raise PersemError(TOO_FAR.format(size))
     low, span, keys = _keys(out)
     del out
-    order = ordered(keys, frames, len(moves), int(keys.max(initial=0)))
+    # numpy's arrays of this size lie in huge pages, those that kernels make do not.
+    order = ordered(keys, frames, len(moves), int(keys.max(initial=0)), np.empty(n, np.uint32),
+                    np.empty(n, np.uint32), np.empty(n, np.int64), np.empty(n, np.int64))
     kept: list[NDArray[Any]] = [np.empty(n, np.uint16), np.empty(n, np.float32),
                                 np.empty(n, np.int32), np.empty((n, 3), np.uint8)]
     start, where = np.zeros(n + 1, np.int64), np.empty(n, np.int64)
@@ -173,12 +175,9 @@ def regrouped(voxels: NDArray[np.int32], owner: NDArray[np.int32], gone: NDArray
     counts = np.bincount(owner, minlength=len(voxels))
     v = gather(order, keys, frames, owner, voxels, counts, gone, leaves, labels, confidences,
                places, *kept, start, where, old, all_gone) if n else 0
-    block, cell = where[:v] >> 9, where[:v] & 511
-    index = np.stack([block // (span[1] * span[2]), block // span[2] % span[1], block % span[2]],
-                     axis=1) + low
-    cells = np.stack([cell >> 6, cell >> 3 & 7, cell & 7], axis=1)
-    return Regrouped(leaves, (index * SIDE + cells).astype(np.int32), start[:v + 1].copy(),
-                     old[:v].copy(), all_gone[:v].copy(),
+    found = np.empty((v, 3), np.int32)
+    voxels_of(where[:v], low, span, found)
+    return Regrouped(leaves, found, start[:v + 1].copy(), old[:v].copy(), all_gone[:v].copy(),
                      *(column[:start[v]] for column in kept))
 
 

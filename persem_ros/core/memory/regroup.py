@@ -91,10 +91,25 @@ def number(voxels, low, span, keys):
 
 
 @kernel
-def ordered(keys, frames, n_frames, largest):
-    """Return the order (n,) uint32 by key, then by frame, then by row."""
-    n = len(keys)
-    order, count = np.empty(n, np.uint32), np.zeros(n_frames + 1, np.int64)
+def voxels_of(keys, low, span, voxels):
+    """Write the voxels (n, 3) int32 that have these keys of number()."""
+    for p in range(len(keys)):
+        block, cell = keys[p] >> 9, keys[p] & 511
+        row = block // span[2]
+        voxels[p, 0] = (row // span[1] + low[0]) * 8 + (cell >> 6)
+        voxels[p, 1] = (row % span[1] + low[1]) * 8 + (cell >> 3 & 7)
+        voxels[p, 2] = (block % span[2] + low[2]) * 8 + (cell & 7)
+
+
+@kernel
+def ordered(keys, frames, n_frames, largest, order, after, own, other):
+    """
+    Return the order (n,) uint32 by key, then by frame, then by row: one of order and after.
+
+    Room for n numbers: order, after uint32; own, other int64.
+
+    """
+    n, count = len(keys), np.zeros(n_frames + 1, np.int64)
     for p in range(n):
         count[frames[p] + 1] += 1
     for f in range(n_frames):
@@ -102,10 +117,8 @@ def ordered(keys, frames, n_frames, largest):
     for p in range(n):
         order[count[frames[p]]] = p
         count[frames[p]] += 1
-    own, other = np.empty(n, np.int64), np.empty(n, np.int64)
     for p in range(n):
         own[p] = keys[order[p]]
-    after = np.empty(n, np.uint32)
     shift = np.int64(0)
     while largest >> shift > 0:
         starts = np.zeros((1 << DIGIT) + 1, np.int64)
