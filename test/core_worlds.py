@@ -8,6 +8,7 @@ import os
 from hypothesis import HealthCheck, settings, strategies as st
 import numpy as np
 from persem_ros.core.frame.observe import Observations
+from persem_ros.core.memory import frame_pages, frame_table, paging
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.frames import UNKNOWN
 from persem_ros.settings.config import Refine
@@ -128,3 +129,11 @@ def columns_of(memory):
     columns = memory.voxels()
     return {tuple(v): (c, s) for v, c, s in zip(
         columns['voxel'].tolist(), columns['label'].tolist(), columns['source'].tolist())}
+
+
+def tiny_pages(patch, rows):
+    """Have pages of the frame table hold a few rows, and leave nonsense behind where they go."""
+    for module in frame_pages, frame_table, paging:
+        patch.setattr(module, 'PAGE', rows)
+    patch.setattr(frame_pages, '_give_back', lambda column, first, end: column.__setitem__(
+        slice(first, end), 9 if column.dtype.kind == 'u' else -1))

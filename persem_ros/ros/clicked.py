@@ -122,7 +122,7 @@ def markers(memory: VoxelMemory, voxel: NDArray[np.int32], legend: Any, head: An
     labels, frames, offsets = labels[-RAYS:], frames[-RAYS:], offsets[-RAYS:]
     size, origin = memory.voxel_size, np.array(memory.origin)
     centre = (voxel + 0.5) * size
-    eyes = memory.frames.placed[frames, :3, 3] - origin
+    eyes = memory.frames.here('placed')[frames, :3, 3] - origin
     ends = (voxel + (offsets + 0.5) / 256) * size
     # Who looks at the map stands as far away as the sensor did: a share of that is to be seen.
     away = float(np.median(np.linalg.norm(eyes - ends, axis=1))) if len(eyes) else 0.0

@@ -108,8 +108,8 @@ class GridOutputs:
                 return
             self._whole |= set(NAMES)
         frames = memory.frames
-        centre = frames.placed[-1, :3, 3] if len(frames) else np.array(memory.origin)
-        stamp = int(frames.stamp[-1]) if len(frames) else 0
+        centre = frames.here('placed')[-1, :3, 3] if len(frames) else np.array(memory.origin)
+        stamp = int(frames.here('stamp')[-1]) if len(frames) else 0
         changed = self._changes.take(memory, centre, SLICE)
         self._job = self._thread.submit(self._publish, self._layers, changed, stamp,
                                         config.frames.map)

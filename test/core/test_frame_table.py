@@ -1,10 +1,13 @@
 """The frame table: arrays that grow, copies that do not, sessions that know themselves."""
 
-from core_worlds import examples, observations
+from core_worlds import examples, observations, tiny_pages
 from hypothesis import given, strategies as st
 import numpy as np
-from persem_ros.core.memory.frame_table import FrameTable, Stamps
+from persem_ros.core.memory import frame_table
+from persem_ros.core.memory.frame_table import FrameTable, Session, Stamps
 from persem_ros.core.memory.voxel_memory import VoxelMemory
+from persem_ros.errors import PersemError
+import pytest
 
 
 def shifted(x):
@@ -46,14 +49,81 @@ def test_better_poses_leave_earlier_copies_alone():
 @given(st.lists(st.integers(-5, 200), max_size=300))
 @examples(max_examples=50)
 def test_stamps_in_any_order_keep_the_t_that_they_came_with(stamps):
-    known, expected = Stamps(), {}
-    for stamp in stamps:
-        assert known.find(stamp) == expected.get(stamp)
-        if stamp not in expected:
-            expected[stamp] = len(expected)
-            known.add(stamp, expected[stamp])
-    again = Stamps(np.array(list(expected), np.int64), np.array(list(expected.values())))
-    assert all(again.find(stamp) == t for stamp, t in expected.items())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(frame_table, 'NEWEST', 8)
+        table, expected = FrameTable(), {}
+        table.sessions[0] = Session('')
+        known = Stamps(table)
+        for stamp in stamps:
+            assert known.find(stamp) == expected.get(stamp)
+            if stamp not in expected:
+                expected[stamp] = len(expected)
+                known.add(stamp, expected[stamp])
+                table.append(expected[stamp], 0, '', stamp, np.eye(4))
+            table.append(7, 1, '', stamp, np.eye(4))        # of another session
+        again = Stamps(table)
+        assert all(again.find(stamp) == t for stamp, t in expected.items())
+
+
+class Shelf:
+    """A store of frames, and what it was asked for."""
+
+    def __init__(self, table):
+        self.table, self.asked = table, []
+
+    def fetch(self, first, end):
+        """Return rows of the table."""
+        self.asked.append(first)
+        rows = [self.table[f] for f in range(first, end)]
+        return ([r.t for r in rows], [r.session for r in rows], [r.sensor for r in rows],
+                [r.stamp for r in rows], [r.T_map_sensor for r in rows],
+                [r.T_map_best for r in rows])
+
+
+@pytest.fixture(params=[False, True], ids=['placed', 'moved'])
+def shelved(request, monkeypatch):
+    """Return a table of 40 rows in pages of 8, its Shelf, and what let go leaves behind: -1."""
+    tiny_pages(monkeypatch, 8)
+    monkeypatch.setattr(frame_table, 'ROOM', 1)
+    table, whole = FrameTable(), FrameTable()
+    for one in (table, whole):
+        for f in range(60):
+            one.append(f // 2, f // 30, f'camera {f % 2}', 10 ** 18 + f, shifted(f),
+                       shifted(f + 1) if request.param else None)
+    shelf = Shelf(whole)
+    table.attach(shelf.fetch)
+    return table, shelf
+
+
+def test_rows_that_left_come_back_where_they_are_needed(shelved):
+    table, shelf = shelved
+    size, copy = table.nbytes(), table.copy()
+    table.release([0, 1, 3, 4])
+    table.release([1])
+    assert table.nbytes() == size * 28 // 60 and not shelf.asked
+    assert table.here('t')[[9, 20, 59]].tolist() == [-1, 10, 29]
+    table.bring(np.array([20, 9, 15], np.int32))
+    assert shelf.asked == [8] and table.here('t')[9] == 4
+    assert table[24].stamp == 10 ** 18 + 24 and shelf.asked == [8, 24]
+    for f in range(60, 70):             # into longer columns; the copy keeps its own
+        table.append(30, 2, 'camera 2', 10 ** 18 + f, shifted(f))
+    assert shelf.asked == [8, 24]
+    for one in (table, copy):
+        assert one.placed[:60, 0, 3].tolist() == list(range(60))
+        assert np.array_equal(one.best[:60], shelf.table.best)
+        assert one.sensor[:60].tolist() == [0, 1] * 30
+        assert one.stamp[-1] == 10 ** 18 + len(one) - 1
+    assert shelf.asked == [8, 24, 0, 32, 0, 32] and len(table) == 70
+
+
+def test_rows_that_come_back_as_others_are_refused(shelved):
+    table, shelf = shelved
+    table.release([1])
+    shelf.table._stamp[9] += 1
+    with pytest.raises(PersemError, match='other frames 8 to 15 .* restore it from a copy'):
+        table.stamp
+    shelf.table._stamp[9] -= 1
+    assert table.stamp[9] == 10 ** 18 + 9
 
 
 def test_a_session_has_a_uuid_of_its_own_and_the_same_in_every_map():

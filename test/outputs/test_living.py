@@ -92,9 +92,15 @@ def mapped(pager, seen, settings, rng, bound):
        st.sampled_from(['persem', 'recency', 'history', 'geometry', 'geometry']))
 def test_a_run_that_paged_equals_one_that_never_did(tmp_path_factory, seed, bound, neighbours,
                                                     method):
-    path = tmp_path_factory.mktemp('map') / 'map.persem'
-    rng = np.random.default_rng(seed)
-    settings = replace(SETTINGS, neighbours=neighbours, method=method)
+    with pytest.MonkeyPatch.context() as patch:
+        cw.tiny_pages(patch, 2)
+        path = tmp_path_factory.mktemp('map') / 'map.persem'
+        compared(path, seed, bound, replace(SETTINGS, neighbours=neighbours, method=method))
+
+
+def compared(path, seed, bound, settings):
+    """Map a flight into a file, and beside it into memory."""
+    rng, method = np.random.default_rng(seed), settings.method
     living, pager = opened(path)
     straight, seen = VoxelMemory(0.5), flight(seed)
     straight.new_session()

@@ -10,9 +10,11 @@ import uuid
 
 import numpy as np
 from numpy.typing import NDArray
+from persem_ros.core.memory.frame_pages import Fetch, FramePages, PAGE
 from persem_ros.core.memory.pools import sparse_zeros
 
 FEW = 64            # rows of fresh tables
+NEWEST = 4096       # stamps of a session that are at hand, at least half of them
 ROOM = 1 << 18      # rows of the frame table for which there is address space, seven hours
 
 
@@ -67,7 +69,9 @@ class FrameTable:
     """
     All frames that were integrated, as arrays; row f is the f-th.
 
-    It grows at its end only, so that a copy shares what it holds (copy()).
+    It grows at its end only, so that a copy shares what it holds (copy()). Where a store has the
+    map (attach()), rows that no observation in memory refers to may be away: here() is for those
+    who look at rows of observations in memory; whoever asks for a whole column gets it whole.
 
     Attributes
     ----------
@@ -88,15 +92,18 @@ class FrameTable:
         self._stamp = np.empty(FEW, np.int64)
         self._placed = np.empty((FEW, 4, 4))
         self._best: NDArray[np.float64] | None = None      # None: the same
+        self._pages: FramePages | None = None               # None: all rows are in memory
 
     def __len__(self) -> int:
         return self._n
 
     def __getitem__(self, f: int) -> FrameRecord:
         f = range(self._n)[f]
+        self.bring(np.array([f], np.int32))
+        best = self._placed if self._best is None else self._best
         return FrameRecord(
             int(self._t[f]), int(self._session[f]), self.sensors[self._sensor[f]],
-            int(self._stamp[f]), self._placed[f].copy(), self.best[f].copy())
+            int(self._stamp[f]), self._placed[f].copy(), best[f].copy())
 
     def __iter__(self) -> Iterator[FrameRecord]:
         return (self[f] for f in range(self._n))
@@ -104,32 +111,61 @@ class FrameTable:
     @property
     def t(self) -> NDArray[np.int32]:
         """Return t of every frame, shape (n,), int32."""
+        self._bring_all()
         return self._t[:self._n]
 
     @property
     def session(self) -> NDArray[np.int64]:
         """Return the session of every frame, shape (n,), int64."""
+        self._bring_all()
         return self._session[:self._n]
 
     @property
     def sensor(self) -> NDArray[np.uint16]:
         """Return the code (place in sensors) of every frame's sensor, shape (n,), uint16."""
+        self._bring_all()
         return self._sensor[:self._n]
 
     @property
     def stamp(self) -> NDArray[np.int64]:
         """Return the stamp of every frame, shape (n,), int64, nanoseconds."""
+        self._bring_all()
         return self._stamp[:self._n]
 
     @property
     def placed(self) -> NDArray[np.float64]:
         """Return where every frame's observations lie from, T_map_sensor, shape (n, 4, 4)."""
+        self._bring_all()
         return self._placed[:self._n]
 
     @property
     def best(self) -> NDArray[np.float64]:
         """Return the best poses known, shape (n, 4, 4), float64."""
+        self._bring_all()
         return (self._placed if self._best is None else self._best)[:self._n]
+
+    def here(self, name: str) -> NDArray[Any]:
+        """
+        Return a column (t, session, sensor, stamp or placed) as it is in memory.
+
+        Rows of observations in memory, and the last one, hold; others may not.
+        """
+        column: NDArray[Any] = getattr(self, '_' + name)
+        return column[:self._n]
+
+    def attach(self, fetch: Fetch) -> None:
+        """Have rows come from a store, which has them by now, where release() lets them go."""
+        self._pages = FramePages(fetch)
+
+    def bring(self, rows: NDArray[np.int32]) -> None:
+        """Have some rows, 0 to n - 1, in memory."""
+        if self._pages:
+            self._pages.bring(self._columns(), self.sensors, self._pages.missing(rows))
+
+    def release(self, pages: list[int]) -> None:
+        """Let go of pages of rows (frame_pages.PAGE each), of which a store has all."""
+        if self._pages is not None:
+            self._pages.release(self._columns(), pages)
 
     @property
     def moved(self) -> bool:
@@ -189,13 +225,25 @@ class FrameTable:
 
     def replace_poses(self, placed: NDArray[np.float64], best: NDArray[np.float64]) -> None:
         """Take other poses for all rows, (n, 4, 4) each; earlier copies keep theirs."""
+        self._bring_all()       # the other columns stay
+        self._pages = None
         self._placed, self._best = placed.copy(), best.copy()
         self._freeze()
 
     def nbytes(self) -> int:
-        """Return the bytes that the rows in use take."""
-        rows = self._t, self._session, self._sensor, self._stamp, self._placed, self._best
-        return sum(a[:self._n].nbytes for a in rows if a is not None)
+        """Return the bytes that the rows in use and in memory take."""
+        rows = self._n - (PAGE * len(self._pages) if self._pages else 0)
+        return sum(column[:rows].nbytes for column in self._columns())
+
+    def _columns(self) -> list[NDArray[Any]]:
+        """Return the columns, the best poses last where there are any."""
+        all_of = self._t, self._session, self._sensor, self._stamp, self._placed, self._best
+        return [column for column in all_of if column is not None]
+
+    def _bring_all(self) -> None:
+        """Have all rows in memory."""
+        if self._pages:
+            self._pages.bring(self._columns(), self.sensors, self._pages.all_missing())
 
     def _freeze(self) -> None:
         """Let the next frame begin new arrays."""
@@ -207,35 +255,54 @@ class FrameTable:
 
     def _grow(self, rows: int) -> None:
         """Make room for *rows* frames, and for many more, in new arrays."""
-        rows = max(rows, ROOM)
-        self._t = _longer(self._t, rows)
-        self._session = _longer(self._session, rows)
-        self._sensor = _longer(self._sensor, rows)
-        self._stamp = _longer(self._stamp, rows)
-        self._placed = _longer(self._placed, rows)
+        rows, pages = max(rows, ROOM), self._pages
+        self._t = _longer(self._t, rows, pages)
+        self._session = _longer(self._session, rows, pages)
+        self._sensor = _longer(self._sensor, rows, pages)
+        self._stamp = _longer(self._stamp, rows, pages)
+        self._placed = _longer(self._placed, rows, pages)
         if self._best is not None:
-            self._best = _longer(self._best, rows)
+            self._best = _longer(self._best, rows, pages)
+        if pages is not None:
+            self._pages = pages.apart()     # earlier copies keep the old columns
 
 
 class Stamps:
-    """The distinct stamps of one session, each with its t; usually they come in order."""
+    """
+    The distinct stamps of one session, each with its t; usually they come in order.
 
-    def __init__(self, stamps: NDArray[np.int64] | None = None,
-                 t: NDArray[np.int32] | None = None) -> None:
-        """Start with none, or with those of a session's frames."""
+    The newest are at hand; where an older one comes, all are read from the frame table again.
+
+    Parameters
+    ----------
+    frames : FrameTable, optional
+        That of the map; each stamp is entered there, too.
+    session : int
+        The number of the session.
+
+    """
+
+    def __init__(self, frames: FrameTable | None = None, session: int = 0) -> None:
         self._stamp, self._t, self._n = np.empty(FEW, np.int64), np.empty(FEW, np.int32), 0
-        if stamps is not None and t is not None and len(stamps):
-            self._stamp, first = np.unique(stamps, return_index=True)
-            self._t, self._n = t[first].astype(np.int32), len(first)
+        self._frames, self._session = frames, session
+        self._left: int | None = None       # the newest of those that are not at hand
+        self._limit = NEWEST
+        if frames is not None and session in frames.sessions:
+            self._recall()
+            self._let_go()
 
     def find(self, stamp: int) -> int | None:
         """Return t of a stamp, None for a new one."""
+        if self._left is not None and stamp <= self._left:
+            self._recall()
+            self._limit = 2 * self._n       # such a stamp seldom comes alone
         at = self._place(stamp)
         known = at < self._n and self._stamp[at] == stamp
         return int(self._t[at]) if known else None
 
     def add(self, stamp: int, t: int) -> None:
         """Enter a new stamp."""
+        self._let_go()
         n, at = self._n, self._place(stamp)
         if n == len(self._t):
             self._stamp, self._t = _longer(self._stamp, 2 * n), _longer(self._t, 2 * n)
@@ -250,6 +317,24 @@ class Stamps:
             return self._n
         return int(np.searchsorted(self._stamp[:self._n], stamp))
 
+    def _let_go(self) -> None:
+        """Keep the newest only, where there are many."""
+        if self._frames is None or self._n < self._limit:
+            return
+        kept, self._limit = NEWEST // 2, NEWEST
+        first = self._n - kept
+        self._left, self._n = int(self._stamp[first - 1]), kept
+        self._stamp, self._t = (_longer(column[first:first + kept], NEWEST)
+                                for column in (self._stamp, self._t))
+
+    def _recall(self) -> None:
+        """Read all stamps of the session."""
+        assert self._frames is not None
+        own = self._frames.session == self._session
+        self._stamp, first = np.unique(self._frames.stamp[own], return_index=True)
+        self._t, self._n = self._frames.t[own][first], len(first)
+        self._left = None
+
 
 def session_uuid(*content: object) -> str:
     """Return a UUID that depends on *content* alone: arrays, bytes, texts and numbers."""
@@ -260,8 +345,11 @@ def session_uuid(*content: object) -> str:
     return str(uuid.UUID(bytes=digest.digest()[:16], version=5))
 
 
-def _longer(column: NDArray[Any], rows: int) -> NDArray[Any]:
-    """Return a copy of a column with room for *rows* rows."""
+def _longer(column: NDArray[Any], rows: int, pages: FramePages | None = None) -> NDArray[Any]:
+    """Return a copy of a column with room for *rows* rows; pages that are away stay so."""
     fresh = sparse_zeros((max(rows, FEW), *column.shape[1:]), column.dtype)
-    fresh[:len(column)] = column
+    if pages:
+        pages.copied(column, fresh)
+    else:
+        fresh[:len(column)] = column
     return fresh

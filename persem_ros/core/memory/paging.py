@@ -17,12 +17,13 @@ from persem_ros.core.memory.blocks import find_block
 from persem_ros.core.memory.capture import Capture
 from persem_ros.core.memory.dump import Blocks, enter, MemoryDump
 from persem_ros.core.memory.evict import farthest, leave
+from persem_ros.core.memory.frame_pages import PAGE, pages_of
 from persem_ros.core.memory.pools import CLOCK, SIDE, sparse_zeros
 
 if TYPE_CHECKING:
     from persem_ros.core.memory.voxel_memory import VoxelMemory
 
-KNOWN = 1 << 17         # blocks, as many as a pager remembers that the store does not have them
+KNOWN = 4               # so many times the blocks in memory are known not to be in the store
 
 
 class Backing(Protocol):
@@ -68,6 +69,8 @@ class Pager:
         self.moment = self.turn = 0
         self.columns: Any = None
         self._absent: set[tuple[int, ...]] = set()  # blocks that the store is known not to have
+        # By block number: pages of the frames that observed it, up to the last checkpoint.
+        self._seen_by: dict[int, NDArray[np.int64]] = {}
         self._ringed = sparse_zeros(0, np.uint8)    # by block number: all blocks around are here
         self._moved = sparse_zeros(0, np.int64)     # by block number: the turn it came or left at
 
@@ -80,13 +83,15 @@ class Pager:
         if not keys:
             return
         found = self.backing.read(np.array(keys, np.int32))
-        if len(self._absent) > KNOWN:
+        if len(self._absent) > KNOWN * (memory.n_blocks + SIDE ** 3):
             self._absent = set()
         self._absent |= set(keys) - set(map(tuple, found.block_index.tolist()))
         if not len(found.block_index):
             return
         memory.m.used[CLOCK] += 1
         blocks = enter(memory, found)
+        memory.frames.bring(found.history_frame)
+        self._seen_by.update(zip(blocks.tolist(), pages_of(found)))
         stamps = memory.m.stamps
         stamps['shown'][blocks] = memory.clock
         stamps['evidence'][blocks] = stamps['stored'][blocks] = 0
@@ -180,6 +185,8 @@ class Pager:
         self._room()[near[near > 0].astype(np.int64) - 1] = 0
         self._absent -= set(map(tuple, blocks['index'][numbers].tolist()))
         self._note(numbers)
+        for number in numbers.tolist():
+            self._seen_by.pop(number, None)
         return leave(memory, numbers, kept=True)
 
     def moved_since(self, blocks: NDArray[np.int64], turns: NDArray[np.int64],
@@ -207,6 +214,32 @@ class Pager:
             checkpoint.write()
         finally:
             checkpoint.end()
+
+    def note_stored(self, index: NDArray[np.int32], pages: list[NDArray[np.int64]],
+                    rows: int) -> None:
+        """
+        Let go of the frames that no block in memory refers to: the store has them.
+
+        Parameters
+        ----------
+        index : ndarray, shape (n, 3), int32
+            The blocks that changed since the last time.
+        pages : list of ndarray
+            For each the pages of the frame table with the frames that observed it.
+        rows : int
+            How many frames the store has.
+
+        """
+        memory = self.memory
+        for number, seen in zip(block_numbers(memory, index).tolist(), pages):
+            if number >= 0:
+                self._seen_by[number] = seen
+        if memory.read_beside:
+            return              # next time
+        unused = np.ones(min(rows, len(memory.frames) - 1) // PAGE, bool)
+        for seen in self._seen_by.values():
+            unused[seen[seen < len(unused)]] = False
+        memory.frames.release(np.flatnonzero(unused).tolist())
 
     def _room(self) -> NDArray[np.uint8]:
         """Return the marks of the rings, long enough for all blocks."""
@@ -239,7 +272,9 @@ class Checkpoint:
 
     def write(self) -> None:
         """Write what was captured; whatever the store raises passes."""
-        self._pager.backing.write(self.capture.dump())
+        changed = self.capture.dump()
+        self._pager.backing.write(changed)
+        self._stored = changed.block_index, pages_of(changed), len(changed.frames)
         self.written = True
 
     def end(self) -> bool:
@@ -247,6 +282,7 @@ class Checkpoint:
         self.capture.close()
         if self.written:
             self._pager.moment = max(self._pager.moment, self.capture.moment)
+            self._pager.note_stored(*self._stored)
         return self.written
 
 

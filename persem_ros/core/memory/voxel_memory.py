@@ -81,7 +81,7 @@ class VoxelMemory:
         self.tally = None           # core.geometry.kept.Tally of the sweep under way
         self.known_ids = np.zeros(65536, np.uint8)      # those that self.geometry was fitted to
         self.voted_by = -1          # directions that store.voted counts by
-        self._stamps = Stamps()
+        self._stamps = Stamps(self.frames)
         self._next_t = 0
 
     @property
@@ -167,13 +167,12 @@ class VoxelMemory:
     def new_session(self) -> None:
         """Begin a session: its stamps are new even where they repeat earlier ones."""
         self.session += 1
-        self._stamps = Stamps()
+        self._stamps = Stamps(self.frames, self.session)
 
     def resume(self, frames: FrameTable, session: int) -> None:
         """Take over the frame table of a saved map; it goes on in the same session."""
         self.frames, self.session = frames.copy(), int(session)
-        own = frames.session == self.session
-        self._stamps = Stamps(frames.stamp[own], frames.t[own])
+        self._stamps = Stamps(self.frames, self.session)
         self._next_t = int(frames.t.max(initial=-1)) + 1
 
     def volatility(self) -> NDArray[np.float64]:
@@ -258,7 +257,7 @@ class VoxelMemory:
     ) -> tuple[NDArray[np.uint16], NDArray[np.float32], NDArray[np.int32]]:
         """Return the stored observations of a voxel: labels uint16, confidences f4, t int32."""
         labels, confidences, f, _ = self.sightings(voxel)
-        return labels, confidences, self.frames.t[f]
+        return labels, confidences, self.frames.here('t')[f]
 
     def sightings(self, voxel: Any) -> Any:
         """

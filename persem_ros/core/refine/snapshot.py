@@ -122,7 +122,8 @@ def copied(memory: VoxelMemory, block: NDArray[np.int64], cell: NDArray[np.int64
     split(_copy, n, pools.voxels, pools.spills, number, start, shares, classes, p, majority,
           observations, first, head)
     return Snapshot(block, cell, number, index, refined, row, start, classes, p, majority,
-                    observations, first, head, memory.frames.t, memory.frames.placed)
+                    observations, first, head, memory.frames.here('t'),
+                    memory.frames.here('placed'))
 
 
 def settle(memory: VoxelMemory) -> None:

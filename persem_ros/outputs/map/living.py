@@ -24,13 +24,13 @@ from persem_ros.core.memory.dump import Blocks, MemoryDump, take_over
 from persem_ros.core.memory.pools import OBSERVATIONS
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.errors import PersemError
-from persem_ros.guard.database import check_declared, harden
+from persem_ros.guard.database import check_declared, checked, harden, held_by
 from persem_ros.outputs.map import store
 from persem_ros.outputs.map.checks import check_blocks, FARTHEST_BLOCK
 from persem_ros.outputs.map.habits import to_blob
 from persem_ros.outputs.map.lock import WriterLock
 from persem_ros.outputs.map.rows import (
-    about_rows, block_rows, blocks_of, crc_of, frame_rows, small_rows)
+    about_rows, block_rows, blocks_of, crc_of, frame_columns, frame_rows, small_rows)
 from persem_ros.outputs.map.tables import COLUMNS, KINDS, NAMES, TABLES
 from persem_ros.settings import config_file
 from persem_ros.settings.config import Config
@@ -87,11 +87,19 @@ class LivingMap:
             raise
 
     def memory(self) -> VoxelMemory:
-        """Return a memory without blocks that goes on, in a new session, where the map stands."""
+        """
+        Return a memory without blocks that goes on, in a new session, where the map stands.
+
+        Once.
+
+        """
         saved = self._state
+        del self._state
         memory = VoxelMemory(saved.voxel_size, saved.origin, self.config.memory.max_history)
         memory.keeps_all = True
         take_over(memory, saved)
+        self._frames = memory.frames
+        self._frames.attach(self.frames)
         memory.m.used[OBSERVATIONS] = self._about['observations']
         memory.new_session()
         return memory
@@ -130,6 +138,15 @@ class LivingMap:
         except DAMAGED:
             return self._checked([row for row in rows if self._whole(row)])
 
+    def frames(self, first: int, end: int) -> tuple[Any, ...]:
+        """Return rows of the frame table, as core.memory.frame_pages.Fetch says."""
+        try:
+            rows = self._reader.execute('SELECT * FROM frames WHERE row >= ? AND row < ? '
+                                        'ORDER BY row', (first, end)).fetchall()
+            return frame_columns(list(checked(rows, KINDS['frames'], held_by(self.path))))
+        except (sqlite3.Error, *DAMAGED) as error:
+            raise PersemError(f'{self.path} cannot be read ({error})') from error
+
     def write(self, changed: MemoryDump) -> None:
         """
         Take the blocks, counters and frames of a dump over, in one transaction.
@@ -152,7 +169,7 @@ class LivingMap:
                 raise PersemError(f'{self.path} cannot be written ({error})') from error
             self.damaged -= set(map(tuple, changed.block_index.tolist()))   # mapped anew
             self._about, self._frames_crc, self._n_frames = about, crc, len(changed.frames)
-            self._t, self._seen = changed.frames.t, changed.seen_ids
+            self._frames, self._seen = changed.frames, changed.seen_ids
 
     def close(self) -> None:
         """Leave one whole file without a log beside it, where the disk allows that."""
@@ -179,7 +196,7 @@ class LivingMap:
         self.stored_legend = head.stored.legend
         self._n_frames = len(self._state.frames)
         self._frames_crc = self._about['frames_crc']
-        self._t, self._seen = self._state.frames.t, self._state.seen_ids
+        self._frames, self._seen = self._state.frames, self._state.seen_ids
         try:
             self._writer = _connected(path)
             self._writer.execute('PRAGMA journal_mode = WAL').fetchall()
@@ -232,7 +249,9 @@ class LivingMap:
             if not all(isinstance(value, kind) for value, kind in zip(row, KINDS['blocks'])):
                 raise TypeError('a value of another type')
         blocks = blocks_of(rows)
-        check_blocks(blocks, self._t, self._seen)
+        f = blocks.history_frame
+        self._frames.bring(f[(f >= 0) & (f < len(self._frames))])
+        check_blocks(blocks, self._frames.here('t'), self._seen)
         return blocks
 
     def _whole(self, row: tuple[Any, ...]) -> bool:

@@ -101,9 +101,10 @@ def _mount_rows(saved: MemoryDump) -> Iterator[tuple[int, str, bytes]]:
 def frame_rows(table: FrameTable, first: int = 0) -> Iterator[tuple[Any, ...]]:
     """Yield the rows of the table frames from row *first* on, in the order of integration."""
     for row in range(first, len(table)):
-        placed, best = _matrix(table.placed[row]), _matrix(table.best[row])
-        yield (row, int(table.t[row]), int(table.session[row]), table.sensors[table.sensor[row]],
-               int(table.stamp[row]), placed, None if best == placed else best)
+        frame = table[row]
+        placed, best = _matrix(frame.T_map_sensor), _matrix(frame.T_map_best)
+        yield (row, frame.t, frame.session, frame.sensor, frame.stamp, placed,
+               None if best == placed else best)
 
 
 def _matrix(T: NDArray[np.float64]) -> bytes:
@@ -256,15 +257,20 @@ def _frame_table(frames: list[Any], sessions: list[Any], mounts: list[Any]) -> F
     table = FrameTable()
     if [row[0] for row in frames] != list(range(len(frames))):
         raise ValueError('rows of the frame table')
-    _, t, session, sensor, stamp, placed, best = zip(*frames) if frames else [()] * 7
-    moved = [b if b is not None else p for p, b in zip(placed, best)] if any(best) else None
-    table.extend(np.array(t, np.int32), np.array(session, np.int64), list(sensor),
-                 np.array(stamp, np.int64), matrices(placed),
-                 None if moved is None else matrices(moved))
+    table.extend(*frame_columns(frames))
     table.sessions.update((number, Session(uuid, {})) for number, uuid in sessions)
     for number, name, mount in mounts:
         table.sessions[number].mounts[name] = matrices([mount])[0]
     return table
+
+
+def frame_columns(frames: list[Any]) -> tuple[Any, ...]:
+    """Return t, session, sensor names, stamp, placed and best (None: as placed) of rows."""
+    _, t, session, sensor, stamp, placed, best = zip(*frames) if frames else [()] * 7
+    moved = [b if b is not None else p for p, b in zip(placed, best)] if any(best) else None
+    return (np.array(t, np.int32), np.array(session, np.int64), list(sensor),
+            np.array(stamp, np.int64), matrices(placed),
+            None if moved is None else matrices(moved))
 
 
 def matrices(blobs: Sequence[bytes]) -> NDArray[np.float64]:
