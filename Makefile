@@ -26,11 +26,13 @@ PEP257 := --ignore=D100,D101,D102,D103,D104,D105,D106,D107,D203,D212,D404 --matc
 .PHONY: test demo bench bench-long bench-scale soak lint test-matrix ros-test bench-live fuzz signals clean docs docs-links
 # A sourced ROS would put its own pytest plugins and messages into our environment.
 unexport PYTHONPATH
+# Each of the many processes that tests start would compile the whole package again.
+unexport PYTHONDONTWRITEBYTECODE
 
 # Kernels are compiled before the processes that test, which would all compile them.
 test: $(VENV)/installed-test
 	$(RUN) -m persem_ros.core.warmup
-	$(RUN) -m pytest -q -n $(WORKERS) --dist loadfile $(ARGS)
+	$(RUN) -m pytest -q -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(ARGS)
 
 demo: $(VENV)/installed
 	$(RUN) -m persem_ros simulate demo/flight --force

@@ -37,7 +37,7 @@ setup(
     extras_require={
         # laspy and lazrs are small; what needs more of gis is skipped without it.
         'test': ['distributed>=2024.1', 'hypothesis>=6.100', 'laspy>=2.5', 'lazrs>=0.6',
-                 'matplotlib>=3.7', 'pytest>=8', 'pytest-xdist>=3.5', 'scikit-learn>=1.4',
+                 'matplotlib>=3.7', 'pytest>=8', 'pytest-xdist>=3.8', 'scikit-learn>=1.4',
                  'setuptools>=70.1'],
         'lint': ['flake8>=7', 'flake8-blind-except', 'flake8-builtins', 'flake8-class-newline',
                  'flake8-comprehensions', 'flake8-deprecated', 'flake8-docstrings',

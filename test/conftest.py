@@ -15,6 +15,9 @@ HAVE_ROS = importlib.util.find_spec('rclpy') is not None
 # our tests ask how they end.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
+# fsync is for power cuts, which no test can make; without it the suite does not wait for the disk.
+os.fsync = lambda handle: None
+
 # Node tests need rclpy; without it they are not even imported, and the last line says so.
 collect_ignore = [] if HAVE_ROS else ['ros']
 
@@ -25,6 +28,23 @@ settings.register_profile('persem', deadline=None, derandomize=True, print_blob=
 settings.register_profile('thorough', deadline=None, max_examples=2000,
                           suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile(os.environ.get('HYPOTHESIS_PROFILE', 'persem'))
+
+
+# Whole files go to one process each, the longest first, lest one be left for the end.
+LONG = (
+    'mosaic/test_build.py', 'evaluate/test_evaluate_figures.py', 'core/test_refine.py',
+    'simulate/test_simulate.py', 'evaluate/test_evaluate_jobs.py',
+    'replay/test_replay_bad_input.py', 'replay/test_replay.py', 'commands/test_streams.py',
+    'evaluate/test_evaluate.py', 'convert/test_convert_frames.py', 'outputs/test_store.py',
+    'mosaic/test_build_cluster.py', 'evaluate/test_compare.py', 'test_mover.py',
+    'test_night.py', 'replay/test_paged_replay.py', 'core/test_geometry.py')
+
+
+def pytest_collection_modifyitems(config, items):
+    """Put the longest files first where several processes share them."""
+    if hasattr(config, 'workerinput'):
+        place = {ROOT / 'test' / name: number for number, name in enumerate(LONG)}
+        items.sort(key=lambda item: place.get(item.path, len(LONG)))
 
 
 def pytest_terminal_summary(terminalreporter):

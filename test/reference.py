@@ -186,8 +186,8 @@ class Memory:
         {voxel: [f, ...]}: the frame of each observation, a place in *frames*.
     frames : list
         (stamp, sensor, T) of every added frame; stamps are nanoseconds.
-    stamps : list
-        The distinct stamps in order of integration; t is the place in it.
+    stamps : dict
+        The distinct stamps in order of integration, and t, the place in that order.
     ids : set
         The distinct ids of all counted pixels.
 
@@ -198,14 +198,12 @@ class Memory:
         self.voxel_size, self.origin = voxel_size, origin
         self.histories, self.rows = {}, {}
         self.frames = []
-        self.stamps = []
+        self.stamps = {}
         self.ids = set()
 
     def add(self, observations, stamp, ids=(), sensor='', T=None):
         """Section 1: add {voxel: (c, s)} of one frame; *ids* are those of its counted pixels."""
-        if stamp not in self.stamps:
-            self.stamps.append(stamp)
-        t = self.stamps.index(stamp)
+        t = self.stamps.setdefault(stamp, len(self.stamps))
         self.frames.append((stamp, sensor, T))
         self.ids.update(int(c) for c in ids if countable(int(c)))
         for voxel, (c, s) in observations.items():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+import functools
 import textwrap
 from typing import Any, TYPE_CHECKING
 
@@ -167,13 +168,19 @@ def to_yaml(config: Config, left_out: Collection[str] = ()) -> str:
             lines.append(f'    {head}:')
         section = head
         indent = ' ' * (6 if head else 4)
-        lines += textwrap.wrap(comment(name, meta), 99, initial_indent=f'{indent}# ',
-                               subsequent_indent=f'{indent}# ', break_long_words=False)
+        lines += _wrapped(comment(name, meta), f'{indent}# ')
         if value == ():     # ROS cannot type an empty list; these mean none, too
             value = ('',) if name == 'cameras' else (-1,)
         mark = '# ' if name in left_out else ''
         lines.append(f'{indent}{mark}{tail}: {scalar(value)}')
     return '\n'.join(lines) + '\n'
+
+
+@functools.lru_cache(1024)      # each map, save and checkpoint has the same comments
+def _wrapped(text: str, indent: str) -> list[str]:
+    """Return the lines of a comment."""
+    return textwrap.wrap(text, 99, initial_indent=indent, subsequent_indent=indent,
+                         break_long_words=False)
 
 
 def to_markdown() -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 import copy
+import functools
 from pathlib import Path
 import re
 from typing import Any, NamedTuple
@@ -117,7 +118,17 @@ def scalar(value: Any) -> str:
         return yaml.safe_dump(value, default_style='"', width=1 << 20).strip()
     if isinstance(value, str):
         return "'" + value.replace("'", "''") + "'"
+    if type(value) is int:
+        return str(value)
+    if type(value) is float:
+        return _float(repr(value))
     return yaml.safe_dump(value).split('\n')[0]
+
+
+@functools.lru_cache(1024)      # the defaults, again for each file that holds settings
+def _float(text: str) -> str:
+    """Return a float, given as Python writes it, as YAML."""
+    return yaml.safe_dump(float(text)).split('\n')[0]
 
 
 def _sections(

@@ -13,7 +13,6 @@ from persem_ros.rendering import Renderer
 from persem_ros.settings.config import Config, updated
 import pytest
 import reference
-from sklearn.metrics import accuracy_score, confusion_matrix, jaccard_score
 import worlds
 
 # A recording of a real flight, with truth, for those who have one.
@@ -40,6 +39,8 @@ def frames_of(path, config, methods):
 
 def theirs(frames, method, bit=None):
     """Return accuracy and mean IoU by scikit-learn, in percent, and its confusion matrix."""
+    # Here, for it takes as long to load as some hundred tests, and all processes read this file.
+    from sklearn.metrics import accuracy_score, confusion_matrix, jaccard_score
     inside = [f[0] & (f[3] & bit != 0 if bit else True) for f in frames]
     truth = np.concatenate([f[1][w] for f, w in zip(frames, inside)])
     found = np.concatenate([f[2][method][w] for f, w in zip(frames, inside)])

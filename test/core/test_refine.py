@@ -139,10 +139,10 @@ def test_an_eta_that_makes_the_anchor_a_tie(frames, settings, choice):
     assert ref.anchor(expected, voxel, there) != expected.majority(voxel)
 
 
-@pytest.mark.parametrize('method', METHODS)
-def test_long_histories_and_many_classes(method):
-    # Histories over many links, evidence that spills, gaps beyond every table.
-    rng = np.random.default_rng(METHODS.index(method))
+@pytest.fixture(scope='module')
+def long_histories():
+    """Return (bound, memory, reference) of histories over many links, gaps beyond every table."""
+    rng = np.random.default_rng(0)
     cells = [(x, y, 0) for x in (-1, 0) for y in (-1, 0)]
     frames, stamp = [], 0
     for t in range(400):
@@ -153,8 +153,13 @@ def test_long_histories_and_many_classes(method):
             for _ in range(1100):       # frames that saw nothing
                 frames.append((stamp, {}, ()))
                 stamp += 1
-    for bound in (0, 128):
-        memory, expected = core_of(frames, bound), reference_of(frames)
+    expected = reference_of(frames)
+    return [(bound, core_of(frames, bound), expected) for bound in (0, 128)]
+
+
+@pytest.mark.parametrize('method', METHODS)
+def test_long_histories_and_many_classes(long_histories, method):
+    for bound, memory, expected in long_histories:      # evidence spills
         for settings in (Refine(), replace(Refine(), gamma=0.6, lambda_gap=1e-4, tau_replay=0.0,
                                            eta=0.1, tau_context=0.0, lambda_recency=0.01)):
             assert labels_of(memory, method, settings) == ref.label(

@@ -42,18 +42,15 @@ def same(a, b):
             np.testing.assert_array_equal(array, b[place][1][key], key)
 
 
-def test_processes_give_the_same(tasks, expected):
-    same(by_place(jobs.results(tasks, 2)), expected)
-
-
 @pytest.mark.parametrize('workers', [1, 2])
-def test_a_failure_does_not_stop_the_others(tasks, tmp_path, workers):
+def test_processes_give_the_same_and_a_failure_does_not_stop_the_others(
+        tasks, expected, tmp_path, workers):
     broken = Task(str(worlds.write(tmp_path / 'empty', frames=0)), Config())
-    found = []
-    with pytest.raises(PersemError, match=r'empty.*1 of 3 failed'):
-        for place, *_ in jobs.results([tasks[0], broken, tasks[1]], workers):
-            found.append(place)
-    assert sorted(found) == [0, 2]
+    found = {}
+    with pytest.raises(PersemError, match=r'empty.*1 of 5 failed'):
+        for place, *result in jobs.results([*tasks[:1], broken, *tasks[1:]], workers):
+            found[place - (place > 1)] = tuple(result)
+    same(found, expected)
 
 
 def test_a_worker_that_dies_is_said(tasks):

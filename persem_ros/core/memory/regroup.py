@@ -159,7 +159,8 @@ def gather(order, keys, frames, owner, voxels, counts, gone, leaves, labels, con
         where nothing came and nothing left, else -1, and whether all of it had gone.
 
     """
-    n, v, at = 0, -1, 0
+    # Not the literal 0, for whose type numba would compile meet() a second time.
+    n, v, at = np.int64(0), -1, np.int64(0)
     sums = np.zeros(65536)
     N = len(order)
     while at < N:
