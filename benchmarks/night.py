@@ -1,15 +1,17 @@
 """
 A night's map in one command: three sessions in one file, one killed, one closing a loop.
 
-Simulates three flights over one town, maps them into one attached file with memory for a tenth
-of it, kills the second replay (SIGKILL) and starts it again, and moves the third session, whose
-poses drift, by the path that closing its loop gave. Prints `persem map info` after each step and
-draws the map from above before and after the move.
+Simulates three flights over one town and the fields around, maps them into one attached file,
+from the second on with memory for a tenth of the first, which is some frames' views, kills the
+second replay (SIGKILL) and starts it again, and moves the third session, whose poses drift, by
+the path that closing its loop gave. Prints `persem map info` after each step and draws the map
+from above before and after the move.
 
 """
 
 import argparse
 from contextlib import redirect_stdout
+from dataclasses import replace
 import io
 import json
 from pathlib import Path
@@ -23,9 +25,18 @@ import numpy as np
 import persem_ros
 from persem_ros import cli
 from persem_ros.errors import PersemError
+from persem_ros.outputs.recording.writer import RecordingWriter
+from persem_ros.simulate.flight import Flight, START
+from persem_ros.simulate.path import make_path
+from persem_ros.simulate.plan import Plan
+from persem_ros.simulate.sensor import PoseErrors, recorded
 
-FLIGHTS = {'evening': ('--height', '60'), 'midnight': ('--height', '75', '--speed', '9'),
-           'morning': ('--loop-closure',)}
+LEGS = {'leg': 300.0, 'spacing': 45.0, 'lines': 6}     # of the flights: nearly the whole world, m
+SURVEY = Plan(width=160, height=120, speed=15.0, field_of_view=50.0, tilt=75.0)
+FLIGHTS = {'evening': SURVEY, 'midnight': replace(SURVEY, altitude=70.0),
+           'morning': replace(SURVEY, pose_errors=PoseErrors(odometry=0.2))}
+VOXEL = 0.4         # m
+MAPPED = 20.0       # s after which the second session is killed
 CELLS = 600         # of a picture, along its longer side
 SHARE = 10          # the bound of memory is so much less than the map of the first session
 
@@ -39,28 +50,43 @@ def persem(*words):
     return said.getvalue()
 
 
-def simulated(folder, frames, size):
+def apart(*words):
+    """Run a command in a process of its own, whose peak of memory is its own, too."""
+    subprocess.run([sys.executable, '-m', 'persem_ros', *map(str, words)], check=True,
+                   stdout=subprocess.DEVNULL)
+
+
+def simulated(folder, frames):
     """Return the recordings of three flights, made where they are missing."""
-    for name, options in FLIGHTS.items():
+    for name, plan in FLIGHTS.items():
         if not (folder / name).exists():
-            persem('simulate', folder / name, '--frames', frames, '--size', size, *options)
+            plan = replace(plan, frames=frames)
+            flight = Flight(plan)
+            flight.path = make_path(
+                np.random.default_rng(0), (flight.pose_stamps[-1] - START) / 1e9 + 1.0,
+                plan.altitude, plan.speed, middle=0.0, **LEGS)
+            flight.poses = recorded([flight.body(stamp) for stamp in flight.pose_stamps],
+                                    plan.pose_errors, np.random.default_rng(1))
+            with RecordingWriter(folder / name) as writer:
+                flight.record(writer)
     return [folder / name for name in FLIGHTS]
 
 
-def replayed(recording, out, path, bound):
+def replayed(recording, out, path, bound, settings=()):
     """Return the words of the replay that adds a recording to the map file."""
-    return ['replay', recording, '--out', out, '--methods', 'majority', '--set',
-            f'map.path={path}', '--set', 'map.attached=true', '--set',
-            f'memory.max_voxels={bound}', '--set', 'memory.dynamic_labels=[10]']
+    values = (f'map.path={path}', 'map.attached=true', f'memory.max_voxels={bound}',
+              'memory.dynamic_labels=[10]', *settings)
+    return ['replay', recording, '--out', out, '--methods', 'majority',
+            *(word for value in values for word in ('--set', value))]
 
 
-def killed(words, out):
-    """Run a replay in a process of its own and kill it while it maps; return its exit status."""
+def killed(words, out, after):
+    """Kill a replay some seconds after it has begun to map; return its exit status."""
     process = subprocess.Popen([sys.executable, '-m', 'persem_ros', *map(str, words)],
                                stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     while process.poll() is None and not list(out.glob('.persem-run.*')):
         time.sleep(0.01)
-    time.sleep(0.2)
+    time.sleep(after)
     process.send_signal(signal.SIGKILL)
     return process.wait()
 
@@ -95,8 +121,13 @@ def drawn(maps, corners):
                           axis=1)
 
 
-def night(recordings, trajectory, out):
-    """Map three recordings as a night goes; return what `persem map info` says at each step."""
+def night(recordings, trajectory, out, settings=(), replay=persem, after=0.2):
+    """
+    Map three recordings as a night goes; return what `persem map info` says at each step.
+
+    replay(*words) runs a command; *after* seconds the second session is killed.
+
+    """
     out.mkdir(parents=True, exist_ok=True)
     path, steps, bound = out / 'night.persem', {}, 0
 
@@ -109,18 +140,19 @@ def night(recordings, trajectory, out):
         print(f'{name}: {timing["frames"]} frames, {timing["total_s"]:.0f} s, peak '
               f'{timing["memory"]["peak_rss_bytes"] / 1e6:.0f} MB')
 
-    persem(*replayed(recordings[0], out / 'first', path, bound))
+    replay(*replayed(recordings[0], out / 'first', path, bound, settings))
     rss('first')
     step('after the first session')
     bound = len(persem_ros.open_map(path)) // SHARE
-    words = replayed(recordings[1], out / 'second', path, bound)
-    status = killed(words, out / 'second')
+    print(f'from now on memory.max_voxels is {bound}')
+    words = replayed(recordings[1], out / 'second', path, bound, settings)
+    status = killed(words, out / 'second', after)
     print(f'the second session ended with status {status}')
     step('after the kill')
-    persem(*words, '--force')
+    replay(*words, '--force')
     rss('second')
     step('after the second session, again')
-    persem(*replayed(recordings[2], out / 'third', path, bound))
+    replay(*replayed(recordings[2], out / 'third', path, bound, settings))
     rss('third')
     step('after the third session')
     before = from_above(path)
@@ -136,12 +168,11 @@ def main():
     """Simulate, or take recordings; map the night."""
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
     parser.add_argument('out', type=Path, help='folder of night.persem and night.png')
-    parser.add_argument('--frames', type=int, default=150, help='of each simulated flight')
-    parser.add_argument('--size', default='240x180', help='of the simulated images')
+    parser.add_argument('--frames', type=int, default=700, help='of each simulated flight')
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
-    recordings = simulated(args.out, args.frames, args.size)
-    night(recordings, recordings[2], args.out)
+    recordings = simulated(args.out, args.frames)
+    night(recordings, recordings[2], args.out, (f'memory.voxel_size={VOXEL}',), apart, MAPPED)
 
 
 if __name__ == '__main__':

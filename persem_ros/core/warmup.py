@@ -22,6 +22,7 @@ from persem_ros.core.memory.capture import dump
 from persem_ros.core.memory.changes import Changes
 from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.evict import keep_near
+from persem_ros.core.memory.frame_pages import pages_of
 from persem_ros.core.memory.move import moved
 from persem_ros.core.memory.paging import block_numbers
 from persem_ros.core.memory.voxel_memory import VoxelMemory
@@ -121,6 +122,7 @@ def _refined(memory: VoxelMemory) -> None:
     refine(memory, Refine(), full=False)
     job = begin_next(memory, Refine(), fresh=True)
     finish(job, *job.compute())
+    pages_of(dump(memory))
     memory = load(moved(dump(memory), memory.frames.best + 1e-3, memory.frames.t >= 0))
     first = memory.voxels()['voxel'][0]
     memory.evidence(first)

@@ -14,6 +14,7 @@ import zlib
 
 import numpy as np
 from numpy.typing import NDArray
+from persem_ros.core.jit import kernel
 from persem_ros.errors import PersemError
 
 if TYPE_CHECKING:
@@ -94,12 +95,20 @@ class FramePages:
                 fresh[first:min(first + PAGE, len(column))] = column[first:first + PAGE]
 
 
-def pages_of(saved: Blocks) -> list[NDArray[np.int64]]:
-    """Return for each of some blocks the pages of the frames that observed it."""
-    page, ends = saved.history_frame // PAGE, saved.history_start[saved.block_start]
-    marks = np.zeros((len(saved.block_index), int(page.max(initial=0)) + 1), bool)
-    marks[np.repeat(np.arange(len(marks)), np.diff(ends)), page] = True
-    return [np.flatnonzero(row) for row in marks]
+def pages_of(saved: Blocks) -> NDArray[np.bool_]:
+    """Return which pages hold frames that observed each of some blocks, (blocks, pages)."""
+    ends = saved.history_start[saved.block_start]
+    marks = np.zeros((len(ends) - 1, int(saved.history_frame.max(initial=0)) // PAGE + 1), bool)
+    _mark(np.ascontiguousarray(saved.history_frame), ends, PAGE, marks)
+    return marks
+
+
+@kernel
+def _mark(frames, ends, rows, marks):
+    """Write pages_of()."""
+    for b in range(len(marks)):
+        for i in range(ends[b], ends[b + 1]):
+            marks[b, frames[i] // rows] = True
 
 
 def _checksum(columns: Columns, first: int, end: int) -> int:

@@ -70,7 +70,7 @@ class Pager:
         self.columns: Any = None
         self._absent: set[tuple[int, ...]] = set()  # blocks that the store is known not to have
         # By block number: pages of the frames that observed it, up to the last checkpoint.
-        self._seen_by: dict[int, NDArray[np.int64]] = {}
+        self._seen_by = sparse_zeros((0, 0), np.bool_)
         self._ringed = sparse_zeros(0, np.uint8)    # by block number: all blocks around are here
         self._moved = sparse_zeros(0, np.int64)     # by block number: the turn it came or left at
 
@@ -91,7 +91,7 @@ class Pager:
         memory.m.used[CLOCK] += 1
         blocks = enter(memory, found)
         memory.frames.bring(found.history_frame)
-        self._seen_by.update(zip(blocks.tolist(), pages_of(found)))
+        self._note_seen(blocks, pages_of(found))
         stamps = memory.m.stamps
         stamps['shown'][blocks] = memory.clock
         stamps['evidence'][blocks] = stamps['stored'][blocks] = 0
@@ -185,8 +185,7 @@ class Pager:
         self._room()[near[near > 0].astype(np.int64) - 1] = 0
         self._absent -= set(map(tuple, blocks['index'][numbers].tolist()))
         self._note(numbers)
-        for number in numbers.tolist():
-            self._seen_by.pop(number, None)
+        self._seen_by[numbers[numbers < len(self._seen_by)]] = False
         return leave(memory, numbers, kept=True)
 
     def moved_since(self, blocks: NDArray[np.int64], turns: NDArray[np.int64],
@@ -215,8 +214,7 @@ class Pager:
         finally:
             checkpoint.end()
 
-    def note_stored(self, index: NDArray[np.int32], pages: list[NDArray[np.int64]],
-                    rows: int) -> None:
+    def note_stored(self, index: NDArray[np.int32], pages: NDArray[np.bool_], rows: int) -> None:
         """
         Let go of the frames that no block in memory refers to: the store has them.
 
@@ -224,22 +222,31 @@ class Pager:
         ----------
         index : ndarray, shape (n, 3), int32
             The blocks that changed since the last time.
-        pages : list of ndarray
-            For each the pages of the frame table with the frames that observed it.
+        pages : ndarray, shape (n, pages), bool
+            Which pages of the frame table hold frames that observed each.
         rows : int
             How many frames the store has.
 
         """
-        memory = self.memory
-        for number, seen in zip(block_numbers(memory, index).tolist(), pages):
-            if number >= 0:
-                self._seen_by[number] = seen
+        memory, numbers = self.memory, block_numbers(self.memory, index)
+        self._note_seen(numbers[numbers >= 0], pages[numbers >= 0])
         if memory.read_beside:
             return              # next time
         unused = np.ones(min(rows, len(memory.frames) - 1) // PAGE, bool)
-        for seen in self._seen_by.values():
-            unused[seen[seen < len(unused)]] = False
+        used = self._seen_by.any(axis=0)[:len(unused)]
+        unused[:len(used)] &= ~used
         memory.frames.release(np.flatnonzero(unused).tolist())
+
+    def _note_seen(self, blocks: NDArray[np.int64], pages: NDArray[np.bool_]) -> None:
+        """Note which pages hold frames that observed some blocks, by their numbers."""
+        n, wide = self.memory.n_blocks, pages.shape[1]
+        if n > len(self._seen_by) or wide > self._seen_by.shape[1]:
+            before = self._seen_by
+            rows, columns = before.shape
+            self._seen_by = sparse_zeros((max(2 * n, rows), max(2 * wide, columns)), np.bool_)
+            self._seen_by[:rows, :columns] = before
+        self._seen_by[blocks] = False
+        self._seen_by[blocks, :wide] = pages
 
     def _room(self) -> NDArray[np.uint8]:
         """Return the marks of the rings, long enough for all blocks."""

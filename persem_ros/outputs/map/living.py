@@ -76,6 +76,7 @@ class LivingMap:
         self.path, self.config, self.legend = path, config, legend
         self._durable = durable
         self.damaged: set[tuple[int, ...]] = set()
+        self._said: tuple[Config | None, str] = None, ''
         self._writing = threading.Lock()
         path.parent.mkdir(parents=True, exist_ok=True)
         self._lock = WriterLock(path)
@@ -234,7 +235,7 @@ class LivingMap:
                            rows)
         about = {**self._about, **counts, 'session': changed.session, 'frames_crc': crc,
                  'refined': int(changed.rho is not None),
-                 'settings': config_file.to_yaml(self.config), 'legend': self.legend().to_yaml()}
+                 'settings': self._settings(), 'legend': self.legend().to_yaml()}
         about.pop('habits', None)
         if changed.habits and changed.fitted_by is not None:
             about['habits'] = to_blob(changed.habits, changed.fitted_by)
@@ -242,6 +243,12 @@ class LivingMap:
         db.execute("DELETE FROM about WHERE name = 'habits'")
         db.executemany('INSERT OR REPLACE INTO about VALUES (?, ?)', about.items())
         return about, crc
+
+    def _settings(self) -> str:
+        """Return the settings in force as YAML, which takes 10 ms, made where they are new."""
+        if self._said[0] is not self.config:
+            self._said = self.config, config_file.to_yaml(self.config)
+        return self._said[1]
 
     def _checked(self, rows: list[Any]) -> Blocks:
         """Return what rows hold; raise one of DAMAGED where they are not as they were written."""
