@@ -57,6 +57,11 @@ def flight(config, size, frames, clock, rounds=3):
     memory, changes = pipeline.memory, Changes()
     scenes.fill(memory, size)
     settle(memory)              # as if all had been refined
+    if config.refine.method == 'geometry':      # parameters and relief are there before a flight
+        begin = clock()
+        job = begin_next(memory, config.refine)
+        print(f'{size:>9} voxels: begin the first refinement {1e3 * (clock() - begin):.1f} ms')
+        finish(job, *job.compute())
     mirror, job, capture = Mirror(memory.voxel_size, Legend()), None, None
     with ThreadPoolExecutor(3) as beside:
         published = saved = None
@@ -112,23 +117,27 @@ def _publish(mirror, changed, centre):
 def main():
     """Measure all sizes and print each part."""
     from persem_ros.core.warmup import warm_up
-    from persem_ros.settings.config import Config
+    from persem_ros.settings.config import Config, updated
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--cpu', action='store_true',
                         help="the thread's processor time, for a machine that others use, too")
+    parser.add_argument('--method', default='persem', help='refine.method')
+    parser.add_argument('--most', type=float, default=SIZES[-1], help='voxels, at most')
     args = parser.parse_args()
+    sizes = [size for size in SIZES if size <= args.most]
+    config = updated(Config(), {'refine.method': args.method})
     clock = time.perf_counter
     if args.cpu:
         clock = time.thread_time
         jit.set_threads(1)
     warm_up()
     frames = list(scenes.frames(scenes.flight(frames=20, rate=3.0)))
-    for size in SIZES:
-        away = flight(Config(), size, frames, clock)
+    for size in sizes:
+        away = flight(config, size, frames, clock)
         print(f'{size:>9} voxels: away {away.worst():.1f} ms at worst, p99 {away.p99():.1f} ms')
         for name, seconds in away.seconds.items():
             print(told(name, seconds))
-    for size in SIZES:
+    for size in sizes:
         print(f'{size:>9} voxels, ~/grid:')
         for name, seconds in grid(Config(), size, frames, clock).seconds.items():
             print(told(name, seconds))

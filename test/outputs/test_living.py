@@ -325,13 +325,13 @@ def test_geometry_by_kept_parameters(tmp_path, monkeypatch, form):
         pager.need_voxels(one.voxels)
         memory.add(one)
         job = begin_next(memory, settings)
-        if k == 0:
-            known = memory.geometry.arrays()
-            assert all((known[name] == fitted[name]).all() for name in ('pi', 'rho', 'fine'))
         found, whole = job.compute(), take(memory)
+        if k == 0:
+            known = found.parameters.arrays()
+            assert all((known[name] == fitted[name]).all() for name in ('pi', 'rho', 'fine'))
         rows = whole.row[job.snapshot.number[:job.snapshot.refined]] - 1
         assert len(rows) and rows.min() >= 0
-        here = relabel(memory, replace(whole, relief=None), settings, memory.geometry)
+        here = relabel(memory, replace(whole, relief=None), settings, found.parameters)
         if k > 4:           # all of it is in memory
             held += len(rows)
             assert (found.labels == here.labels[rows]).all()

@@ -16,8 +16,6 @@ from persem_ros.core.geometry.upright import Up, upright
 from persem_ros.core.jit import inlined, kernel, split
 from persem_ros.core.memory.pools import ROWS, SIDE, sparse_zeros
 
-NEW_TILES = np.empty((0, 2), np.int32)
-
 
 class Change(NamedTuple):
     """
@@ -72,12 +70,21 @@ class Relief:
         self.up, self.window = up, window
         self.bits = sparse_zeros((blocks, ROWS), np.uint8)
         self.tile = sparse_zeros(blocks, np.int32)
-        self.ground = Ground(NEW_TILES, *(np.empty((0, TILE), np.int32) for _ in range(2)))
+        # Room for a tile a block: nothing as long as the map is copied where the map grows.
+        self._room = Ground(sparse_zeros((blocks, 2), np.int32),
+                            *(sparse_zeros((blocks, TILE), np.int32) for _ in range(2)))
+        self._keys, self._order = np.empty(0, np.int64), np.empty(0, np.int64)      # ascending
         self._empty = True
+
+    @property
+    def ground(self) -> Ground:
+        """Return the Ground of the moment; update() changes its arrays in place."""
+        n, room = len(self._keys), self._room
+        return Ground(room.tiles[:n], room.lowest[:n], room.level[:n])
 
     def nbytes(self, n_blocks: int) -> int:
         """Return the bytes in use."""
-        return n_blocks * (ROWS + 4) + len(self.ground.tiles) * (8 + 8 * TILE)
+        return n_blocks * (ROWS + 4) + len(self._keys) * (24 + 8 * TILE)
 
     def update(self, memory: Any, dirty: NDArray[np.int64]) -> Change:
         """
@@ -103,68 +110,88 @@ class Relief:
         occupied, risen = (sparse_zeros((n, ROWS), np.uint8) for _ in range(2))
         occupied[numbers] = came
         self._empty = False
-        changed = self._enter(blocks['index'][numbers], numbers, came)
-        tiles = np.flatnonzero(changed.any(axis=1))
-        mark = np.zeros(len(changed), bool)
-        mark[tiles] = True
-        over = np.flatnonzero(mark[self.tile[:n]] & (blocks['near'][:n, 13] > 0)) \
-            if len(tiles) and not whole else np.empty(0, np.int64)
-        mark_columns(over, self.tile, self.bits, changed, self.up.i, self.up.j, risen)
+        tiles, changed = self._enter(blocks['index'][numbers], numbers, came)
+        over = np.empty(0, np.int64)
+        if len(tiles) and not whole:
+            place = sparse_zeros(len(self._keys), np.int32)     # in *changed*, + 1
+            place[tiles] = np.arange(1, len(tiles) + 1, dtype=np.int32)
+            over = np.flatnonzero(place[self.tile[:n]])
+            over = over[blocks['near'][over, 13] > 0]
+            mark_columns(over, place[self.tile[over]] - 1, self.bits, changed, self.up.i,
+                         self.up.j, risen)
         return Change(whole, numbers, occupied, over, risen)
 
     def _enter(self, index: NDArray[np.int32], numbers: NDArray[np.int64],
-               came: NDArray[np.uint8]) -> NDArray[np.bool_]:
-        """Enter cells that became occupied; return (tiles, 64): whose ground changed."""
+               came: NDArray[np.uint8]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Enter cells that became occupied; return tiles, and (t, 64) where their ground did."""
         corner = upright(index, self.up)
-        tiles, lowest, level = self.ground.tiles, self.ground.lowest, self.ground.level
-        keys, own = keys_of(tiles), keys_of(corner[:, :2])
-        new, first = np.unique(own[~np.isin(own, keys)], return_index=True)
+        own = keys_of(corner[:, :2])
+        new, first = np.unique(own[~_among(self._keys, own)], return_index=True)
         if len(new):
-            more = corner[~np.isin(own, keys)][first][:, :2]
-            nothing = np.full((len(new), TILE), NONE, np.int32)
-            tiles = np.concatenate([tiles, more])
-            lowest, level = np.concatenate([lowest, nothing]), np.concatenate([level, nothing])
-            keys = keys_of(tiles)
-        order = np.argsort(keys)
-        self.tile[numbers] = order[np.searchsorted(keys, own, sorter=order)]
-        changed = np.zeros(len(tiles), np.uint8)
-        lower_columns(numbers, self.tile, came, corner, self.up, lowest, changed)
-        before = level
-        if changed.any():
-            level = self._leveled(tiles, keys, order, lowest, level, np.flatnonzero(changed))
-        self.ground = Ground(tiles, lowest, level)
-        return level != before
+            self._grow(new, corner[~_among(self._keys, own)][first][:, :2])
+        self.tile[numbers] = self._order[np.searchsorted(self._keys, own)]
+        changed = sparse_zeros(len(self._keys), np.uint8)
+        lower_columns(numbers, self.tile, came, corner, self.up, self.ground.lowest, changed)
+        return self._relevel(np.flatnonzero(changed))
 
-    def _leveled(self, tiles: NDArray[np.int32], keys: NDArray[np.int64],
-                 order: NDArray[np.int64], lowest: NDArray[np.int32], level: NDArray[np.int32],
-                 changed: NDArray[np.int64]) -> NDArray[np.int32]:
-        """Return the level of all columns, where the lowest of the tiles *changed* did."""
+    def _grow(self, keys: NDArray[np.int64], tiles: NDArray[np.int32]) -> None:
+        """Take in new tiles, ascending by their keys."""
+        n = len(self._keys)
+        room = slice(n, n + len(keys))
+        self._room.tiles[room] = tiles
+        self._room.lowest[room] = self._room.level[room] = NONE
+        place = np.searchsorted(self._keys, keys)
+        self._keys = np.insert(self._keys, place, keys)
+        self._order = np.insert(self._order, place, np.arange(n, n + len(keys)))
+
+    def _relevel(self, changed: NDArray[np.int64],
+                 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Find the ground anew where the lowest of the tiles *changed* did; return where it is."""
+        tiles, lowest, level = self._room.tiles, self._room.lowest, self._room.level
         reach = -(-self.window // SIDE)
-        wide, inner = (_near(tiles, changed, k * reach) for k in (4, 2))
-        part = np.flatnonzero(wide)
-        part = part[np.argsort(keys[part])]         # ground_of wants them sorted
-        found = ground_of(tiles[part], lowest[part], self.window).level
-        result, reached = level.copy(), inner[part]
-        result[part[reached]] = found[reached]
-        return result
+        if not len(changed):
+            return changed, np.empty((0, TILE), bool)
+        part, wide, inner = self._around(changed, 4 * reach, 2 * reach)
+        part, inner = part[wide], inner[wide]       # ground_of wants them sorted, as they are
+        found = ground_of(tiles[part], lowest[part], self.window).level[inner]
+        part = part[inner]
+        other = found != level[part]
+        some = other.any(axis=1)
+        level[part[some]] = found[some]
+        return part[some], other[some]
+
+    def _around(self, some: NDArray[np.int64], *reaches: int) -> tuple[NDArray[Any], ...]:
+        """Return tiles around some, ascending, and which lie within each reach, widest first."""
+        middle = self._room.tiles[some].astype(np.int64)
+        low, high = middle.min(axis=0) - reaches[0], middle.max(axis=0) + reaches[0]
+        first, last = np.searchsorted(self._keys, ((low[0] << 32), (high[0] + 1) << 32))
+        place = self._room.tiles[self._order[first:last]] - low
+        here = np.flatnonzero((place[:, 1] >= 0) & (place[:, 1] <= high[1] - low[1]))
+        part, place = self._order[first:last][here], place[here]
+        shape = high - low + 1
+        if float(shape[0]) * float(shape[1]) > 1e7:     # far apart: all of them
+            return (part, *(np.ones(len(part), bool) for _ in reaches))
+        return (part, *(_within(middle - low, reach, shape)[place[:, 0], place[:, 1]]
+                        for reach in reaches))
 
 
-def _near(tiles: NDArray[np.int32], some: NDArray[np.int64], reach: int) -> NDArray[np.bool_]:
-    """Return (tiles,): which lie within *reach* of some, along both axes."""
-    low = tiles.min(axis=0) - reach
-    shape = tiles.max(axis=0) - low + 1 + reach
-    if float(shape[0]) * float(shape[1]) > 1e7:     # tiles far apart: all of them
-        return np.ones(len(tiles), bool)
+def _among(keys: NDArray[np.int64], some: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return which of some are among ascending keys."""
+    if not len(keys):
+        return np.zeros(len(some), bool)
+    return keys[np.minimum(np.searchsorted(keys, some), len(keys) - 1)] == some
+
+
+def _within(places: NDArray[np.int64], reach: int,
+            shape: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return a grid of *shape*: which of its places lie within *reach* of some, by both axes."""
     grid = np.zeros((int(shape[0]) + 1, int(shape[1]) + 1), np.int32)
-    place = tiles - low
-    for i, j in ((-reach, -reach), (reach + 1, reach + 1)):
-        np.add.at(grid, (np.minimum(place[some, 0] + i, shape[0]),
-                         np.minimum(place[some, 1] + j, shape[1])), 1)
-    for i, j in ((-reach, reach + 1), (reach + 1, -reach)):
-        np.add.at(grid, (np.minimum(place[some, 0] + i, shape[0]),
-                         np.minimum(place[some, 1] + j, shape[1])), -1)
-    covered = grid.cumsum(axis=0).cumsum(axis=1) > 0
-    return np.asarray(covered[place[:, 0], place[:, 1]])
+    for i, j, sign in ((-reach, -reach, 1), (reach + 1, reach + 1, 1),
+                       (-reach, reach + 1, -1), (reach + 1, -reach, -1)):
+        np.add.at(grid, (np.clip(places[:, 0] + i, 0, shape[0]),
+                         np.clip(places[:, 1] + j, 0, shape[1])), sign)
+    covered: NDArray[np.bool_] = grid.cumsum(axis=0).cumsum(axis=1) > 0
+    return covered
 
 
 @kernel
@@ -206,10 +233,10 @@ def lower_columns(numbers, tile, came, corner, up, lowest, changed):
 
 @kernel
 def mark_columns(numbers, tile, bits, changed, i_axis, j_axis, marks):
-    """Mark the occupied cells of blocks in the columns that changed (tiles, 64)."""
+    """Mark the occupied cells of blocks in the columns that changed, (t, 64), tile (b,) of it."""
     place = np.zeros(3, np.int64)
-    for b in numbers:
-        columns = changed[tile[b]]
+    for p in range(len(numbers)):
+        b, columns = numbers[p], changed[tile[p]]
         for row in range(ROWS):
             if bits[b, row] == 0:
                 continue

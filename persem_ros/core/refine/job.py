@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
@@ -48,14 +49,15 @@ class Job:
     n_ids: int
     parameters: Any
     sweep: Sweep | None = None
+    renewed: Callable[[], Any] | None = None    # what *parameters* are to be, found beside
     learns: bool = False
 
     def compute(self) -> Labelled:
         """Return the core.geometry.method.Labelled of the snapshot's refined rows."""
         if self.sweep is not None:
             self.sweep.prepare()
-        found = labelled(self.memory, self.snapshot, self.settings.method, self.settings,
-                         self.rho, self.n_ids, self.parameters)
+        found = labelled(self.memory, self.snapshot, self.settings.method, self.settings, self.rho,
+                         self.n_ids, self.renewed() if self.renewed else self.parameters)
         if self.learns:
             paged.learn(self.memory.pager, self.snapshot, self.settings)
         return found
@@ -242,20 +244,26 @@ def _begin_round(memory: Any, settings: Any, rules: Any, fresh: bool) -> Job:
     """
     if fresh or memory.rho is None or memory.refined_with != rules or _news(memory, settings):
         return begin(memory, settings)
+    renewed = None
     if (memory.sweep is None or memory.sweep.ended) and memory.n_observations != memory.rho_of:
-        known = memory.geometry
-        if memory.tally is not None:
-            known = memory.tally.parameters(known, settings.geometry.shrink)
+        renewed = partial(_renewed, memory.geometry, memory.tally, memory.relief,
+                          settings.geometry)
         memory.sweep, memory.tally = Sweep(memory.m.blocks, memory.n_blocks), Tally()
         memory.rho_of, memory.since_rho = memory.n_observations, 0
-        memory.geometry = in_cells(known, cells_at(memory.relief.ground, settings.geometry.cell))
     memory.since_rho += 1
     also = next_blocks(memory.sweep, memory.m.blocks, memory.table, settings.sweep)
     taken = reached(memory, settings, False, also)
     snapshot.settle(memory)
     memory.refinements += 1
     return Job(memory, settings, taken, memory.rho, number_of_ids(memory), memory.geometry,
-               memory.sweep)
+               memory.sweep, renewed)
+
+
+def _renewed(known: Any, tally: Tally | None, relief: Any, constants: Any) -> Any:
+    """Return the parameters of a new sweep: by what the last one came to, in today's cells."""
+    if tally is not None:
+        known = tally.parameters(known, constants.shrink)
+    return in_cells(known, cells_at(relief.ground, constants.cell))
 
 
 def _begin_paged(memory: Any, settings: Any) -> Job:
@@ -270,11 +278,12 @@ def _begin_paged(memory: Any, settings: Any) -> Job:
     if memory.fitted_by is not None and memory.fitted_by[0] != settings.up:
         memory.pager.columns = None
     news = _news(memory, settings)
+    renewed = None if news else paged.next_sweep(memory, settings.geometry)
     taken = paged.part(memory, settings, news)
     snapshot.settle(memory)
     memory.refinements += 1
     return Job(memory, settings, taken, memory.rho, number_of_ids(memory), memory.geometry,
-               memory.sweep, learns=True)
+               memory.sweep, renewed, learns=True)
 
 
 def swept(memory: Any, settings: Any) -> Any:

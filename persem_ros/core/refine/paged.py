@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from functools import partial
+from typing import Any, Optional
 
 import numpy as np
 from persem_ros.core.geometry.columns import columns_of
@@ -39,7 +41,6 @@ def part(memory: Any, settings: Any, news: bool) -> snapshot.Snapshot:
             memory.sweep, memory.tally, memory.rho_of = None, None, memory.n_observations
             return taken
         learn(pager, taken, settings)
-    _next_sweep(memory, settings.geometry)
     pager.need_around(changed)
     also = pager.ringed(next_blocks(memory.sweep, memory.m.blocks, memory.table, settings.sweep))
     near = snapshot.blocks_around(memory.m.blocks, changed, memory.n_blocks)
@@ -56,14 +57,25 @@ def learn(pager: Any, taken: snapshot.Snapshot, settings: Any) -> None:
     pager.columns = news if pager.columns is None else pager.columns.and_those(news)
 
 
-def _next_sweep(memory: Any, constants: Any) -> None:
-    """Begin a sweep where one has ended and something was seen since, by what that came to."""
+def next_sweep(memory: Any, constants: Any) -> Optional[Callable[[], Any]]:
+    """
+    Begin a sweep where one has ended and something was seen since.
+
+    Return what finds the parameters that follow from the last one, beside the mapping; None where
+    those in force stay.
+
+    """
     under_way = memory.sweep is not None and not memory.sweep.ended
     if under_way or memory.n_observations == memory.rho_of:
-        return
-    known = memory.geometry
-    if memory.tally is not None:
-        known = filled(memory.tally.parameters(known, constants.shrink), known)
+        return None
+    renewed = partial(_renewed, memory.geometry, memory.tally, memory.pager, constants)
     memory.sweep, memory.tally = Sweep(memory.m.blocks, memory.n_blocks), Tally()
     memory.rho_of, memory.since_rho = memory.n_observations, 0
-    memory.geometry = with_cells(known, memory.pager.columns.cells(constants.cell))
+    return renewed
+
+
+def _renewed(known: Any, tally: Optional[Tally], pager: Any, constants: Any) -> Any:
+    """Return the parameters that a sweep came to; of cells that it did not see, those in force."""
+    if tally is not None:
+        known = filled(tally.parameters(known, constants.shrink), known)
+    return with_cells(known, pager.columns.cells(constants.cell))
