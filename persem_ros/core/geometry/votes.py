@@ -8,11 +8,10 @@ from typing import Any, Optional
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.jit import inlined, kernel, split
-from persem_ros.core.memory.history import link_of, oldest
+from persem_ros.core.memory.history import fetch, link_of, links_after, oldest, TOGETHER
 from persem_ros.core.memory.pools import CHUNK
 
 ONE = 2.0 ** 32         # votes are multiples of 1 / ONE, so that their order is of no account
-TOGETHER = 16           # histories that are followed side by side
 MANY = 2.0              # votes from which a voxel tells how well its looks agree
 
 
@@ -113,8 +112,12 @@ def count_votes(begin, end, links, number, index, start, observations, first, he
     chains, left = np.empty(TOGETHER, np.int64), np.empty(TOGETHER, np.int64)
     for r in range(begin, end):
         if (r - begin) % TOGETHER == 0:
-            fetch(r, min(r + TOGETHER, end), links, number, observations, first, head, voted,
-                  keep, chains, left)
+            m = 0
+            for q in range(r, min(r + TOGETHER, end)):
+                if not (keep and voted[number[q]].n == observations[q]):
+                    chains[m], left[m] = head[q], links_after(observations[q], first[q])
+                    m += 1
+            fetch(links, chains, left, m)
         n = np.int64(observations[r])
         at = oldest(n, first[r], max_history)
         looks, k0 = n - at, start[r]
@@ -166,29 +169,6 @@ def count_votes(begin, end, links, number, index, start, observations, first, he
         agreement[r] = -1.0
         if total[r] >= MANY:
             agreement[r] = (squares - looks) / max(looks * (looks - 1.0), 1.0)
-
-
-@inlined
-def fetch(begin, end, links, number, observations, first, head, voted, keep, chains, left):
-    """
-    Follow the histories of rows begin .. end side by side, for the caches.
-
-    Each link is somewhere else; the processor waits for several of them at once if none needs
-    another.
-
-    """
-    n = 0
-    for r in range(begin, end):
-        if not (keep and voted[number[r]].n == observations[r]):
-            chains[n] = head[r]
-            left[n] = (np.int64(observations[r]) - 1) // CHUNK - np.int64(first[r]) // CHUNK
-            n += 1
-    while n > 0:
-        m = 0
-        for k in range(n):
-            chains[m], left[m] = links[chains[k] - 1].next, left[k] - 1
-            m += left[m] >= 0
-        n = m
 
 
 @inlined

@@ -4,7 +4,7 @@ import numpy as np
 from persem_ros.core.jit import inlined, kernel
 from persem_ros.core.memory.blocks import step
 from persem_ros.core.memory.evidence import TIE
-from persem_ros.core.memory.history import link_of, oldest
+from persem_ros.core.memory.history import fetch, link_of, links_after, oldest, TOGETHER
 from persem_ros.core.memory.pools import CHUNK
 from persem_ros.core.refine.fusion import place_of, winner
 
@@ -37,7 +37,15 @@ def select(begin, end, scratch, blocks, links, frame_t, block, cell, row, start,
 
     """
     work = scratch[0]
+    chains, left = np.empty(TOGETHER, np.int64), np.empty(TOGETHER, np.int64)
     for r in range(begin, end):
+        if (r - begin) % TOGETHER == 0 and (then == PROPOSED or then == VERIFIED):
+            n = 0
+            for q in range(r, min(r + TOGETHER, end)):
+                if start[q + 1] - start[q] > 1 and observations[q] >= min_observations:
+                    chains[n], left[n] = head[q], links_after(observations[q], first[q])
+                    n += 1
+            fetch(links, chains, left, n)
         c_M = np.int64(majority[r])
         labels[r] = c_M
         sources[r] = MAJORITY
