@@ -64,7 +64,7 @@ def forget(memory, expected, position, radius, most):
 
 @given(worlds(most_frames=20, repeats=False), refinements(), st.sampled_from(METHODS[:-1]),
        st.sampled_from([0, 3, 8]), st.randoms(use_true_random=False))
-@examples(max_examples=200)
+@examples(max_examples=120)
 def test_random_worlds(frames, settings, method, bound, random):
     settings = replace(settings, method=method)
     memory, expected = VoxelMemory(0.5, max_history=bound), Forgetful()

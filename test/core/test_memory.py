@@ -210,7 +210,7 @@ from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.frame.observe import Observations
 
 SIDE, FRAMES = 60, 14
-grid = np.indices((SIDE, SIDE, SIDE)).reshape(3, -1).T.astype(np.int32)
+grid = np.indices((SIDE, SIDE, SIDE)).reshape(3, -1).T.astype(np.int32, order='C')
 rng = np.random.default_rng(0)
 memory = VoxelMemory(0.5, max_history=0)
 

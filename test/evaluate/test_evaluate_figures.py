@@ -7,11 +7,13 @@ from persem_ros import cli
 from persem_ros.errors import PersemError
 from persem_ros.evaluate import run
 from persem_ros.evaluate.show import page, style
+from persem_ros.evaluate.work.task import ALL_METHODS
 from persem_ros.settings.config import Config
 import pytest
 import worlds
 
 pytest.importorskip('matplotlib')
+METHODS = ('raw2d', 'ema2d', 'majority', 'persem', 'geometry')
 NASTY = ('classes:\n- {id: 1, name: "<b>one</b>"}\n- {id: 3, name: "$x_3$"}\n'
          '- {id: 7, name: "seven & more"}\n- {id: 9, name: mover, dynamic: true}\n')
 
@@ -46,8 +48,13 @@ def folder(tmp_path_factory):
     base = tmp_path_factory.mktemp('figures')
     one = worlds.write(base / 'one', legend=NASTY)
     two = worlds.write(base / '<i>two', seed=1, legend=NASTY)
-    run.evaluate([one, two], base / 'out', Config(), workers=1)
+    run.evaluate([one, two], base / 'out', Config(), METHODS, workers=1)
     return base / 'out'
+
+
+def test_every_method_has_a_marker_of_its_own():
+    assert set(style.STYLES) == set(ALL_METHODS)
+    assert len(set(style.STYLES.values())) == len(ALL_METHODS)
 
 
 def test_all_figures_are_there_and_not_empty(folder):

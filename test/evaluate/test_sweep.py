@@ -39,7 +39,7 @@ def test_points_are_evaluations(tmp_path, recording):
 
 def test_one_setting_at_a_time(tmp_path, recording, capsys):
     words = ['sweep', str(recording), '--out', str(tmp_path / 'out'), '--workers', '1', '--each',
-             '--methods', 'majority,history', '--vary', 'refine.eta=0,1', '--vary',
+             '--no-figures', '--methods', 'majority,history', '--vary', 'refine.eta=0,1', '--vary',
              'memory.voxel_size=0.25']
     assert cli.main(words) == 0
     result = json.loads((tmp_path / 'out' / 'sweep.json').read_text())
@@ -52,7 +52,7 @@ def test_one_setting_at_a_time(tmp_path, recording, capsys):
 
 def test_more_values_use_what_is_finished(tmp_path, recording, capsys, caplog):
     words = ['sweep', str(recording), '--out', str(tmp_path / 'out'), '--workers', '1', '--vary']
-    assert cli.main([*words, 'ema.alpha=0.5,0.9']) == 0
+    assert cli.main([*words, 'ema.alpha=0.5,0.9', '--no-figures']) == 0
     caplog.set_level(logging.INFO, 'persem_ros')
     assert cli.main([*words, 'ema.alpha=0.5,0.7,0.9']) == 0
     assert '2 of 3 are finished already' in caplog.text
@@ -66,7 +66,8 @@ def test_more_values_use_what_is_finished(tmp_path, recording, capsys, caplog):
 def test_order_of_integration_is_an_axis(tmp_path, recording):
     axes = parse_vary(['disturb.order=recorded,reversed,shuffled'], Config())
     config = updated(Config(), {'memory.voxel_size': 0.1, 'refine.lambda_recency': 0.5})
-    result = sweep([recording], tmp_path, config, axes, ('majority', 'recency'), workers=1)
+    result = sweep([recording], tmp_path, config, axes, ('majority', 'recency'), workers=1,
+                   figures=False)
     values = [p['mean']['methods'] for p in result['points']]
     assert values[0]['majority'] == values[1]['majority'] == values[2]['majority']
     assert values[0]['recency'] != values[1]['recency']

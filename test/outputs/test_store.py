@@ -235,7 +235,7 @@ from persem_ros.outputs.map import store
 from test_store import frames, plain
 path, rng = sys.argv[1], random.Random(5)
 memory, maps = cw.core_of([]), []
-for frame in frames(80):
+for frame in frames(40):
     memory.add(cw.observations(*frame))
     maps = [*maps[-1:], dump(memory)]
 expected = [plain(saved) for saved in maps]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+import functools
 from pathlib import Path
 import shutil
 import sqlite3
@@ -20,6 +21,7 @@ from rosbags.interfaces import (
     Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime)
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
+from rosbags.typesys.store import Typestore
 
 # Of metadata.yaml. Version 9 only spells QoS profiles in another way, which ROS 2 before Jazzy
 # cannot open; Humble reads 8, and nothing is lost.
@@ -66,7 +68,7 @@ class RecordingWriter:
         if storage not in STORAGES:
             raise PersemError(f'storage {storage!r}: expected one of {", ".join(STORAGES)}')
         self.path = Path(path)
-        self.typestore = get_typestore(Stores.ROS2_JAZZY)
+        self.typestore = _types()
         self.make = MessageFactory(self.typestore.types)
         self._storage, self._compress, self._force = storage, compress, force
         self._connections: dict[tuple[str, str], Connection] = {}
@@ -231,6 +233,12 @@ class RecordingWriter:
                 self._writer.abort()
         if self._work is not None:
             shutil.rmtree(self._work, ignore_errors=True)
+
+
+@functools.cache
+def _types() -> Typestore:
+    """Return the types, once a process: it compiles how each of them is written."""
+    return get_typestore(Stores.ROS2_JAZZY)
 
 
 def _qos(depth: int, latched: bool) -> Qos:

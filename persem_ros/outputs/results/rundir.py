@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, ExitStack, suppress
 import fcntl
+import functools
 from importlib import metadata
 import os
 from pathlib import Path
@@ -284,6 +285,7 @@ def versions() -> dict[str, str | None]:
     return result
 
 
+@functools.cache        # of what this process has loaded, whatever is edited meanwhile
 def commit() -> str | None:
     """Return the source tree's git commit, '+' added where it was changed; None outside git."""
     root = Path(__file__).resolve().parents[3]
