@@ -8,6 +8,7 @@ exponentials, all in the order that section 12 gives.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any, NamedTuple, Optional
 
 import numpy as np
@@ -42,6 +43,7 @@ class Tables(NamedTuple):
     weight: float
 
 
+@lru_cache(maxsize=1)       # refinements that follow each other go by the same: 1 of 50 ms
 def tables_of(parameters: Parameters, settings: Any) -> Tables:
     """Return the Tables of parameters; settings are those of refine.geometry."""
     fine, coarse, shifted = (

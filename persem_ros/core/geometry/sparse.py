@@ -9,6 +9,7 @@ shape are most often. Every other class has Q = 0.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple, Optional
 
 import numpy as np
@@ -188,7 +189,8 @@ class Sparse:
             count_posteriors, len(votes.count) if rows is None else rows, votes.start,
             votes.count, votes.place,
             votes.share, votes.total, votes.agreement, groups.fine, groups.coarse,
-            groups.shifted, *self.near, self._likely(parameters), *self._tables(parameters)))
+            groups.shifted, *self.near, likely_of(parameters, self.settings),
+            *tables_of(parameters, self.settings)))
 
     def estimate(self, sums: SparseSums, rho: float) -> SparseParameters:
         """Return the parameters that follow from sums."""
@@ -218,7 +220,7 @@ class Sparse:
     def _rounds(self, parameters: SparseParameters, wanted: list[NDArray[np.int64]]) -> Any:
         """Return where, start and list of candidates, Q after the last round and before it."""
         votes, groups, taken, rows = self.votes, self.groups, self.taken, wanted[0]
-        tables, likely = self._tables(parameters), self._likely(parameters)
+        tables, likely = tables_of(parameters, self.settings), likely_of(parameters, self.settings)
         where = np.full(len(taken.number), -1, np.int64)
         where[rows] = np.arange(len(rows))
         start = np.zeros(len(rows) + 1, np.int64)
@@ -237,39 +239,43 @@ class Sparse:
             before, after = after, before
         return where, start, listed, before, after
 
-    def _likely(self, parameters: SparseParameters) -> NDArray[np.int32]:
-        """Return the classes that each shape is most often, (96, 16), ascending."""
-        P = (parameters.fine + self.settings.prior * parameters.pi) \
-            / (parameters.fine.sum(axis=1)[:, None] + self.settings.prior)
-        most = np.argsort(-P, axis=1, kind='stable')[:, :LIKELY]
-        return np.ascontiguousarray(np.sort(most, axis=1).astype(np.int32))
 
-    def _tables(self, parameters: SparseParameters) -> SparseTables:
-        """Return the SparseTables of parameters."""
-        known, prior, pi, K = parameters, self.settings.prior, parameters.pi, len(parameters.pi)
-        keys, values = known.confusion
-        z, c = keys // K, keys % K
-        theta = np.where(keys == FREE, 1.0, (
-            values + known.a * (OWN * (z == c) + (1.0 - OWN) * known.f[c]))
-            / (known.rows[z] + known.a))
-        fine = (known.fine + prior * pi) / (known.fine.sum(axis=1)[:, None] + prior)
-        logs: list[NDArray[Any]] = []
-        chosen = self.settings.groups
-        if not counts(chosen, 0):
-            fine = np.tile(pi, (len(fine), 1))
-        for (group_keys, R), total in zip(known.groups, known.totals):
-            if not counts(chosen, 1):
-                logs += [*entries_of(np.empty(0, np.int64), np.empty(0)), np.zeros(len(total))]
-                continue
-            z = group_keys % K
-            ratio = (R + prior * pi[z]) / (total[np.maximum(group_keys, 0) // K] + prior) / pi[z]
-            logs += [group_keys, np.log(np.where(group_keys == FREE, 1.0, ratio)),
-                     np.log(prior / (total + prior))]
-        coarse_keys, coarse_values, coarse_rest, shifted_keys, shifted_values, shifted_rest = logs
-        return SparseTables(np.log(pi), np.log(fine / pi), keys, np.log(theta + 1e-6),
-                            known.rows, known.f, known.a, coarse_keys, coarse_values, coarse_rest,
-                            shifted_keys, shifted_values, shifted_rest, known.rho,
-                            self.settings.weight)
+@lru_cache(maxsize=1)
+def likely_of(parameters: SparseParameters, settings: Any) -> NDArray[np.int32]:
+    """Return the classes that each shape is most often, (96, 16), ascending."""
+    P = (parameters.fine + settings.prior * parameters.pi) \
+        / (parameters.fine.sum(axis=1)[:, None] + settings.prior)
+    most = np.argsort(-P, axis=1, kind='stable')[:, :LIKELY]
+    return np.ascontiguousarray(np.sort(most, axis=1).astype(np.int32))
+
+
+@lru_cache(maxsize=1)       # refinements that follow each other go by the same
+def tables_of(parameters: SparseParameters, settings: Any) -> SparseTables:
+    """Return the SparseTables of parameters; settings are those of refine.geometry."""
+    known, prior, pi, K = parameters, settings.prior, parameters.pi, len(parameters.pi)
+    keys, values = known.confusion
+    z, c = keys // K, keys % K
+    theta = np.where(keys == FREE, 1.0, (
+        values + known.a * (OWN * (z == c) + (1.0 - OWN) * known.f[c]))
+        / (known.rows[z] + known.a))
+    fine = (known.fine + prior * pi) / (known.fine.sum(axis=1)[:, None] + prior)
+    logs: list[NDArray[Any]] = []
+    chosen = settings.groups
+    if not counts(chosen, 0):
+        fine = np.tile(pi, (len(fine), 1))
+    for (group_keys, R), total in zip(known.groups, known.totals):
+        if not counts(chosen, 1):
+            logs += [*entries_of(np.empty(0, np.int64), np.empty(0)), np.zeros(len(total))]
+            continue
+        z = group_keys % K
+        ratio = (R + prior * pi[z]) / (total[np.maximum(group_keys, 0) // K] + prior) / pi[z]
+        logs += [group_keys, np.log(np.where(group_keys == FREE, 1.0, ratio)),
+                 np.log(prior / (total + prior))]
+    coarse_keys, coarse_values, coarse_rest, shifted_keys, shifted_values, shifted_rest = logs
+    return SparseTables(np.log(pi), np.log(fine / pi), keys, np.log(theta + 1e-6),
+                        known.rows, known.f, known.a, coarse_keys, coarse_values, coarse_rest,
+                        shifted_keys, shifted_values, shifted_rest, known.rho,
+                        settings.weight)
 
 
 def estimate_sparse(sums: SparseSums, n: int, classes: NDArray[np.uint16],
