@@ -5,7 +5,8 @@ A camera looks down on hilly ground from 30 m and flies circles whose centre dri
 place is seen in a few laps and then never again. Frames (10 Hz of flight, as fast as they can be
 mapped) go through what the node's worker does with each: integrate, render, refine beside, write
 checkpoints beside, let go of the farthest blocks. The size of the process is noted once a minute
-of flight; a line is fitted to it from the moment on when the first places have been left for good.
+of flight; a line is fitted to it from the moment on when the first places have been left for good,
+and another one to the second half.
 
 """
 
@@ -236,7 +237,8 @@ def main():
     args = parser.parse_args()
     warm_up()
     gc.collect()
-    frames, since = round(args.minutes * MINUTE), min(lost_from_sight(), args.minutes / 2)
+    frames, half = round(args.minutes * MINUTE), args.minutes / 2
+    since = min(lost_from_sight(), half)
     begin = time.monotonic()
     with tempfile.TemporaryDirectory(dir=args.folder) as folder:
         soak = Soak(Path(folder, 'map.persem'))
@@ -250,13 +252,14 @@ def main():
           f'{soak.rendered} rendered, {soak.statistics.refinements} refinements; the longest step '
           f'{1e3 * soak.worst:.0f} ms, waited {soak.waited:.0f} s for the disk')
     for name in ('rss', 'map', 'frame table'):
-        slope, error = fitted(soak.samples, since, name)
+        (slope, error), (late, its) = (fitted(soak.samples, at, name) for at in (since, half))
         print(f'{name} from minute {since:.0f} on: {slope:+.1f} ± {error:.1f} kB a minute of '
-              f'flight, {soak.samples[-1][name] / 1e6:.1f} MB at the end')
+              f'flight, from minute {half:.0f} on {late:+.1f} ± {its:.1f}, '
+              f'{soak.samples[-1][name] / 1e6:.1f} MB at the end')
     print(f'{soak.samples[-1]["voxels"]} voxels, {soak.samples[-1]["observations"]} observations, '
           f'{size / soak.samples[-1]["observations"]:.1f} bytes of file each')
     if args.figure:
-        draw(soak.samples, since, args.figure)
+        draw(soak.samples, half, args.figure)
 
 
 if __name__ == '__main__':
