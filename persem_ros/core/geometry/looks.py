@@ -140,8 +140,9 @@ def model_of(looks: Looks, columns: Columns, classes: NDArray[np.uint16],
     place = np.searchsorted(classes, looks.votes.classes).astype(np.int32)
     known = classes[np.minimum(place, len(classes) - 1)] == looks.votes.classes
     place[~known] = 0                   # classes that came since say nothing
+    # Not a product: between the votes of two rows lies what was in the memory, maybe no number.
     votes = replace(looks.votes, classes=classes, place=place[looks.votes.place],
-                    share=looks.votes.share * known[looks.votes.place])
+                    share=np.where(known[looks.votes.place], looks.votes.share, 0.0))
     near = columns.around(columns_of(looks.index), constants.window)
     ground = near.ground(constants.window)
     cells = cells_at(ground, constants.cell)
