@@ -331,9 +331,8 @@ def finish(job: Job, labels: NDArray[np.uint16], sources: NDArray[np.uint8], pos
     """
     taken, pools = job.snapshot, job.memory.m
     pools.used[CLOCK] += 1
-    split(_enter, taken.refined, pools.voxels, pools.stamps, pools.used[CLOCK], taken.block,
-          taken.number, taken.majority, labels, sources)
-    _believe(job.memory, taken, labels, posterior)
+    split(_enter, taken.refined, pools.voxels, job.memory.store.beliefs, pools.stamps,
+          pools.used[CLOCK], taken.block, taken.number, taken.majority, labels, sources, posterior)
     job.memory.geometry = parameters
     if sums is not None and job.memory.tally is not None:
         job.memory.tally.add(sums, taken.swept)
@@ -411,27 +410,22 @@ def _with(function: Any, scratch: np.dtype[Any]) -> Callable[..., Any]:
     return lambda begin, end, *arguments: function(begin, end, np.zeros(1, scratch), *arguments)
 
 
-def _believe(memory: VoxelMemory, taken: Snapshot, labels: NDArray[np.uint16],
-             posterior: NDArray[np.float32]) -> None:
-    """Note the posteriors of labels; where there are none, forget what was noted before."""
-    beliefs, number = memory.store.beliefs, taken.number[:taken.refined]
-    if memory.n_gone:
-        posterior = np.where(memory.m.voxels['gone'][number] > 0, np.float32(0), posterior)
-    before = beliefs['posterior'][number]
-    if posterior.any() or before.any():
-        other = taken.block[:taken.refined][before != posterior]
-        for stamp in ('shown', 'stored'):
-            memory.m.stamps[stamp][other] = memory.clock
-        beliefs['posterior'][number] = posterior
-        beliefs['label'][number] = labels
-
-
 @kernel
-def _enter(begin, end, voxels, stamps, now, block, number, majority, labels, sources):
-    """Write labels and sources to the voxels' records; stamp the blocks where they are new."""
+def _enter(begin, end, voxels, beliefs, stamps, now, block, number, majority, labels, sources,
+           posterior):
+    """Write labels, sources and posteriors of the voxels; stamp the blocks where they are new."""
     for r in range(begin, end):
         v = number[r]
-        if voxels[v].gone:      # meanwhile
+        gone = voxels[v].gone > 0       # meanwhile
+        believed = np.float32(0.0) if gone else posterior[r]
+        before = beliefs[v].posterior
+        if believed != before:
+            stamps[block[r]].shown = now
+            stamps[block[r]].stored = now
+        if believed != 0.0 or before != 0.0:    # no page of it is written without
+            beliefs[v].posterior = believed
+            beliefs[v].label = labels[r]
+        if gone:
             continue
         label = voxels[v].majority if labels[r] == majority[r] else labels[r]
         if voxels[v].label != label or voxels[v].source != sources[r]:

@@ -113,14 +113,15 @@ def copied(memory: VoxelMemory, block: NDArray[np.int64], cell: NDArray[np.int64
     row = sparse_zeros(memory.n_numbers, np.int32)
     row[number] = np.arange(1, n + 1, dtype=np.int32)
     start = np.zeros(n + 1, np.int64)
-    split(_count, n, pools.voxels, pools.spills, number, start[1:])
+    majority, observations, first, head = (np.empty(n, t) for t in ('u2', 'u4', 'u4', 'u4'))
+    split(_copy, n, pools.voxels, pools.spills, number, start[1:], majority, observations, first,
+          head)
     np.cumsum(start, out=start)
     index = np.empty((n, 3), np.int32)
     split(_place, n, pools.blocks, block, cell, index)
     classes, p = np.empty(start[-1], np.uint16), np.empty(start[-1])
-    majority, observations, first, head = (np.empty(n, t) for t in ('u2', 'u4', 'u4', 'u4'))
-    split(_copy, n, pools.voxels, pools.spills, number, start, shares, classes, p, majority,
-          observations, first, head)
+    if shares:
+        split(_share, n, pools.voxels, pools.spills, number, start, classes, p)
     return Snapshot(block, cell, number, index, refined, row, start, classes, p, majority,
                     observations, first, head, memory.frames.here('t'),
                     memory.frames.here('placed'))
@@ -241,26 +242,24 @@ def _place(begin, end, blocks, block, cell, index):
 
 
 @kernel
-def _count(begin, end, voxels, spills, number, counts):
-    """Write how many classes each voxel has seen."""
-    for r in range(begin, end):
-        counts[r] = count_classes(voxels[number[r]], spills)
-
-
-@kernel
-def _copy(begin, end, voxels, spills, number, start, wanted, classes, shares, majority,
-          observations, first, head):
-    """Copy what the snapshot holds of each voxel, shares where wanted."""
+def _copy(begin, end, voxels, spills, number, counts, majority, observations, first, head):
+    """Copy what the snapshot holds of each voxel's record, and how many classes it has seen."""
     for r in range(begin, end):
         voxel = voxels[number[r]]
-        if wanted:
-            read_evidence(voxel, spills, classes, shares, start[r])
-            total = 0.0
-            for e in range(start[r], start[r + 1]):
-                total += shares[e]
-            for e in range(start[r], start[r + 1]):
-                shares[e] /= total
+        counts[r] = count_classes(voxel, spills)
         majority[r] = voxel.majority
         observations[r] = voxel.n
         first[r] = voxel.first
         head[r] = voxel.head
+
+
+@kernel
+def _share(begin, end, voxels, spills, number, start, classes, shares):
+    """Copy the classes and shares of the evidence of each voxel."""
+    for r in range(begin, end):
+        read_evidence(voxels[number[r]], spills, classes, shares, start[r])
+        total = 0.0
+        for e in range(start[r], start[r + 1]):
+            total += shares[e]
+        for e in range(start[r], start[r + 1]):
+            shares[e] /= total
