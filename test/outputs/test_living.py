@@ -297,6 +297,14 @@ def test_other_voxels_and_other_files_are_refused(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ['map.persem']
 
 
+def test_a_map_without_a_frame_is_saved(tmp_path):
+    living, pager = opened(tmp_path / 'map.persem')
+    pager.save()
+    living.close()
+    saved = store.load(tmp_path / 'map.persem').saved
+    assert not len(saved.frames) and not len(saved.cell)
+
+
 @pytest.mark.parametrize('form', ['dense', 'sparse'])
 def test_geometry_by_kept_parameters(tmp_path, monkeypatch, form):
     if form == 'sparse':

@@ -232,7 +232,8 @@ class Pager:
         self._note_seen(numbers[numbers >= 0], pages[numbers >= 0])
         if memory.read_beside:
             return              # next time
-        unused = np.ones(min(rows, len(memory.frames) - 1) // PAGE, bool)
+        # The last row stays: it is asked for without a look at what is here.
+        unused = np.ones(min(rows, max(len(memory.frames) - 1, 0)) // PAGE, bool)
         used = self._seen_by.any(axis=0)[:len(unused)]
         unused[:len(used)] &= ~used
         memory.frames.release(np.flatnonzero(unused).tolist())
