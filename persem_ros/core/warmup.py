@@ -14,9 +14,11 @@ import numpy as np
 from persem_ros.core.frame.clear import clear
 from persem_ros.core.frame.images import placed, points
 from persem_ros.core.frame.observe import Observations, observe
-from persem_ros.core.frame.render import filled, render, render_map, voxel_image, voxel_image_of
+from persem_ros.core.frame.render import (
+    filled, hide_gone, render, render_map, voxel_image, voxel_image_of)
 from persem_ros.core.frame.smoothing import EmaImages
 from persem_ros.core.frame.stride import thinned
+from persem_ros.core.geometry.labelling import with_ring
 from persem_ros.core.jit import is_complete, keep_memory, mark_complete, threads
 from persem_ros.core.memory.capture import dump
 from persem_ros.core.memory.changes import Changes
@@ -28,6 +30,7 @@ from persem_ros.core.memory.paging import block_numbers
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine.job import begin_next, finish, label, refine
 from persem_ros.core.refine.regions import region_image, regions
+from persem_ros.core.refine.snapshot import take
 from persem_ros.frames import Frame, pinhole
 from persem_ros.settings.config import Memory, METHODS, Refine
 
@@ -77,6 +80,7 @@ def warm_up_geometry() -> None:
         finish(job, *job.compute())
     memory = load(dump(memory))
     refine(memory, geometry, full=False)
+    with_ring(memory.m.blocks, take(memory), np.arange(1))
     mark_complete('geometry')
 
 
@@ -130,6 +134,7 @@ def _refined(memory: VoxelMemory) -> None:
     labelled = label(memory, 'majority', Refine())[0]
     shape = frame.depth.shape
     render(voxel_image(memory, seen, shape), labelled)
+    hide_gone(0, 0, memory.m.voxels, voxel_image(memory, seen, shape).reshape(-1))
     region_image(codes, voxel_image(memory, seen, shape))
     render_map(memory, voxel_image(memory, seen, shape), source=True)
     Changes().take(memory)

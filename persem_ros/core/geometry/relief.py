@@ -111,14 +111,14 @@ class Relief:
         occupied[numbers] = came
         self._empty = False
         tiles, changed = self._enter(blocks['index'][numbers], numbers, came)
-        over = np.empty(0, np.int64)
+        over, place = np.empty(0, np.int64), sparse_zeros(len(self._keys), np.int32)
         if len(tiles) and not whole:
-            place = sparse_zeros(len(self._keys), np.int32)     # in *changed*, + 1
-            place[tiles] = np.arange(1, len(tiles) + 1, dtype=np.int32)
+            place[tiles] = np.arange(1, len(tiles) + 1, dtype=np.int32)     # in *changed*, + 1
             over = np.flatnonzero(place[self.tile[:n]])
             over = over[blocks['near'][over, 13] > 0]
-            mark_columns(over, place[self.tile[over]] - 1, self.bits, changed, self.up.i,
-                         self.up.j, risen)
+        # Also of nothing, lest it be compiled when the ground changes for the first time.
+        mark_columns(over, place[self.tile[over]] - 1, self.bits, changed, self.up.i, self.up.j,
+                     risen)
         return Change(whole, numbers, occupied, over, risen)
 
     def _enter(self, index: NDArray[np.int32], numbers: NDArray[np.int64],
