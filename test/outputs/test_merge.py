@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import core_worlds as cw
-from hypothesis import given, strategies as st
+from hypothesis import assume, given, strategies as st
 import numpy as np
 from persem_ros.cli import main
 from persem_ros.core.memory.capture import dump
@@ -42,6 +42,8 @@ def frames(*labels, first=0):
 @cw.examples(max_examples=15)
 @given(cw.worlds(most_frames=16), st.integers(1, 14))
 def test_two_halves_of_a_flight_are_the_flight(tmp_path_factory, world, cut):
+    # What begins with the same frame is the same flight: taken once, or refused.
+    assume(cut >= len(world) or world[0] != world[cut])
     folder = tmp_path_factory.mktemp('maps')
     halves = [part for part in (world[:cut], world[cut:]) if part]
     straight = cw.core_of([])
