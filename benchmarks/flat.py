@@ -15,6 +15,7 @@ from persem_ros.outputs.grid.layers import Layers
 from persem_ros.outputs.grid.rule import rule_of
 from persem_ros.outputs.map.mirror import Mirror
 from persem_ros.pipeline import Pipeline
+from persem_ros.ros.refiner import stand_back
 from persem_ros.settings.config import Map
 from persem_ros.settings.legend import Legend
 import scenes
@@ -63,7 +64,7 @@ def flight(config, size, frames, clock, rounds=3):
         print(f'{size:>9} voxels: begin the first refinement {1e3 * (clock() - begin):.1f} ms')
         finish(job, *job.compute())
     mirror, job, capture = Mirror(memory.voxel_size, Legend()), None, None
-    with ThreadPoolExecutor(3) as beside:
+    with ThreadPoolExecutor(3, 'beside', stand_back) as beside:     # as all of a node's do
         published = saved = None
         for k in range(rounds * len(frames)):
             frame = frames[k % len(frames)]

@@ -215,6 +215,13 @@ def test_only_the_command_line_ends_the_process_and_prints(path):
         assert not words & {'print', 'input'}
 
 
+def test_all_threads_of_the_node_stand_back_for_the_mapping():
+    made = {(path.name, ast.unparse(call.args[-1])) for path in FILES if part(path) == 'ros'
+            for call in ast.walk(parsed(path)) if isinstance(call, ast.Call)
+            and ast.unparse(call.func) == 'ThreadPoolExecutor'}
+    assert len(made) >= 7 and {what for _, what in made} == {'stand_back'}
+
+
 @each_file
 def test_loggers_and_docstrings(path):
     text = path.read_text(encoding='utf-8')

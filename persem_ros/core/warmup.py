@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import replace
 import functools
+import gc
 import os
 import subprocess
 import sys
@@ -34,6 +35,7 @@ from persem_ros.core.refine.snapshot import take
 from persem_ros.frames import Frame, pinhole
 from persem_ros.settings.config import Memory, METHODS, Refine
 
+TURN = 5e-4         # s after which a thread that is at Python's work lets another one go on
 BESIDE = 'from persem_ros.core.warmup import warm_up_geometry; warm_up_geometry()'
 
 
@@ -46,7 +48,7 @@ def warm_up(geometry: bool = True) -> None:
     says so to the user). Compiling is Python's work, which threads cannot share; the kernels of
     the method geometry, more than half of all, are therefore compiled by a process beside (71 s
     became 50 on two threads of one core; 30 without geometry). Besides it tells the C library to
-    keep freed memory (keep_memory).
+    keep freed memory (keep_memory), and sees to it that Python holds up no frame (_undisturbed).
 
     Parameters
     ----------
@@ -64,6 +66,21 @@ def warm_up(geometry: bool = True) -> None:
             _many_classes()
             beside.wait()
             warm_up_geometry()
+    _undisturbed()
+
+
+def _undisturbed() -> None:
+    """
+    Keep Python's housekeeping from holding up frames.
+
+    A collection of garbage among the 120 000 objects that loading leaves took 130 to 240 ms, for
+    which all threads wait; what is frozen is not looked at. A thread that wants the interpreter
+    from one beside it waits for TURN in place of 5 ms, which the mapping thread did several times
+    a frame.
+
+    """
+    gc.freeze()
+    sys.setswitchinterval(min(TURN, sys.getswitchinterval()))
 
 
 def warm_up_geometry() -> None:

@@ -8,8 +8,8 @@ import logging
 import time
 from typing import TYPE_CHECKING
 
-from persem_ros.core.jit import work_alone
 from persem_ros.errors import PersemError
+from persem_ros.ros.refiner import stand_back
 
 if TYPE_CHECKING:
     from persem_ros.core.memory.paging import Checkpoint, Pager
@@ -39,7 +39,7 @@ class Checkpoints:
     def __init__(self, wake: Callable[[], None]) -> None:
         """Begin with none."""
         self._wake = wake
-        self._thread = ThreadPoolExecutor(1, 'checkpoint', work_alone)
+        self._thread = ThreadPoolExecutor(1, 'checkpoint', stand_back)
         self._current: Checkpoint | None = None
         self._result: Future[None] | None = None
         self._asked: list[Future[None]] = []

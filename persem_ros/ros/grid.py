@@ -16,13 +16,13 @@ from typing import Any
 from nav_msgs.msg import OccupancyGrid
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.jit import work_alone
 from persem_ros.core.memory.changes import Changes
 from persem_ros.errors import PersemError
 from persem_ros.outputs.grid.layers import Layers, TooLarge
 from persem_ros.outputs.grid.rule import rule_of
 from persem_ros.ros.map import LATCHED
 from persem_ros.ros.messages import header
+from persem_ros.ros.refiner import stand_back
 from persem_ros.ros.wording import as_ros
 from rclpy.clock import Clock, ClockType
 try:
@@ -63,7 +63,7 @@ class GridOutputs:
         self._whole: set[str] = set()       # topics that must go out whole
         self._complaint = ''
         self._last = 0
-        self._thread = ThreadPoolExecutor(1, 'grid', work_alone)
+        self._thread = ThreadPoolExecutor(1, 'grid', stand_back)
         self._job: Future[None] | None = None
         self._asked: Future[None] | None = None
         self._clock = Clock(clock_type=ClockType.STEADY_TIME)

@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.jit import work_alone
 from persem_ros.core.memory.changes import Changes
 from persem_ros.outputs.map.mirror import Mirror
 from persem_ros.ros.messages import cloud, label_info, LabelInfo
+from persem_ros.ros.refiner import stand_back
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
@@ -60,7 +60,7 @@ class MapOutputs:
         self._text = node.create_publisher(String, '~/legend', LATCHED)
         self._info = LabelInfo and node.create_publisher(LabelInfo, '~/label_info', LATCHED)
         self._told: Legend | None = None
-        self._thread = ThreadPoolExecutor(1, 'map', work_alone)
+        self._thread = ThreadPoolExecutor(1, 'map', stand_back)
         self._job: Future[None] | None = None
         self._listeners = {'map': 0, 'changes': 0}
         self._changes_since = Changes()

@@ -13,6 +13,7 @@ from persem_ros.core.memory.capture import Capture
 from persem_ros.core.refine.job import refine_all
 from persem_ros.errors import PersemError
 from persem_ros.ros.map_file import path_of
+from persem_ros.ros.refiner import stand_back
 from persem_ros.ros.wording import as_ros
 from rclpy.callback_groups import ReentrantCallbackGroup
 from std_srvs.srv import Trigger
@@ -46,7 +47,7 @@ class Services:
     def __init__(self, node: Node, worker: Worker, map_file: MapFile) -> None:
         """Advertise the services."""
         self._worker, self._map_file = worker, map_file
-        self._threads = ThreadPoolExecutor(4, 'service')
+        self._threads = ThreadPoolExecutor(4, 'service', stand_back)
         self._refining = threading.Lock()
         self._done = node.create_guard_condition(lambda: None)
         # A group of its own: a service that waits would keep everything else of its group waiting.

@@ -1,7 +1,11 @@
 """Kernels: compiled once, for one kind of arrays, and cached."""
 
+import gc
 import subprocess
 import sys
+
+from persem_ros.core.warmup import TURN, warm_up
+
 INSIDE = {'_grown', '_vote', 'meet', 'wider', 'log_theta'}     # that only kernels call
 
 SCRIPT = """
@@ -92,3 +96,9 @@ def test_nothing_compiles_after_warm_up():
     assert {name.split('.')[-1] for name, (before, _) in counts.items() if not before} <= INSIDE
     assert sum(before for before, _ in counts.values()) > 20
     assert {name: c for name, c in counts.items() if c not in ((1, 1), (0, 0))} == {}
+
+
+def test_no_collection_of_garbage_looks_at_what_kernels_left_in_memory():
+    warm_up(False)
+    assert gc.get_freeze_count() > 50_000       # more than 100 000 objects: an eighth of a second
+    assert sys.getswitchinterval() <= TURN
