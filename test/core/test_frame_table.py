@@ -7,6 +7,7 @@ from persem_ros.core.memory import frame_table
 from persem_ros.core.memory.frame_table import FrameTable, Session, Stamps
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.errors import PersemError
+from persem_ros.outputs.map.explanation import history_table
 import pytest
 
 
@@ -114,6 +115,16 @@ def test_rows_that_left_come_back_where_they_are_needed(shelved):
         assert one.sensor[:60].tolist() == [0, 1] * 30
         assert one.stamp[-1] == 10 ** 18 + len(one) - 1
     assert shelf.asked == [8, 24, 0, 32, 0, 32] and len(table) == 70
+
+
+def test_who_asks_why_a_voxel_has_its_label_brings_no_row_back(shelved):
+    table, shelf = shelved
+    table.release([0, 2, 3])
+    step = {'label': 1, 'confidence': 1.0, 'gap': 0, 'surprise': 0, 'weight': 1.0, 'leader': 1}
+    lines = history_table({'observations': 3, 'steps': [{**step, 't': t} for t in (4, 6, 18)]},
+                          table, str)
+    assert [line.split()[1] for line in lines[1:4]] == [
+        f'1000000000.{2 * t:09}' for t in (4, 6, 18)] and not shelf.asked
 
 
 def test_rows_that_come_back_as_others_are_refused(shelved):

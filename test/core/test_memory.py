@@ -1,5 +1,8 @@
 """The memory against the reference: histories, evidence, counters, the table of frames."""
 
+import mmap
+from pathlib import Path
+import resource
 import subprocess
 import sys
 
@@ -8,6 +11,7 @@ from core_worlds import (
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
+from persem_ros.core.memory import pools
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.errors import PersemError
 import pytest
@@ -188,6 +192,29 @@ def test_a_full_map_refuses_a_frame_and_stays_whole(pool):
         memory.add(observations(2, {(i, 50, 50): (1, 1.0) for i in range(9)}))
     assert {name: a.tobytes() for name, a in memory.voxels().items()} == before
     assert len(memory.frames) == 1
+
+
+@pytest.mark.skipif(sys.platform != 'linux', reason='/proc')
+def test_a_limit_on_address_space_makes_smaller_pools_and_leaves_room(monkeypatch):
+    size = int(Path('/proc/self/statm').read_text().split()[0]) * resource.getpagesize()
+    before, whole = resource.getrlimit(resource.RLIMIT_AS), pools.Store()
+    unlimited = dict(whole.capacity)
+    del whole
+    resource.setrlimit(resource.RLIMIT_AS, (size + (3 << 30), before[1]))
+    try:
+        memory = VoxelMemory(0.5)
+        memory.add(observations(1, {(i, 0, 0): (1, 1.0) for i in range(5)}))
+        del memory
+        store = pools.Store()
+        room = mmap.mmap(-1, 1 << 30)       # for whatever else the process does
+        room.close()
+        monkeypatch.setattr(pools, 'LEAST', 1 << 40)
+        with pytest.raises(PersemError, match=r'ulimit -v\) is too small; raise it'):
+            pools.Store()
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
+    shares = [unlimited[name] / n for name, n in store.capacity.items()]
+    assert min(shares) > 1 and max(shares) == pytest.approx(min(shares), rel=1e-3)
 
 
 def test_memory_does_not_grow_with_the_range_of_ids():

@@ -143,6 +143,46 @@ def test_the_file_is_not_asked_twice_for_what_it_does_not_have(tmp_path, monkeyp
     living.close()
 
 
+def test_a_refinement_begins_without_a_look_at_the_file_but_for_the_newest_frame(
+        tmp_path, monkeypatch):
+    living, pager = opened(tmp_path / 'map.persem')
+    seen, asked, read = flight(3, 12), [], living.read
+    monkeypatch.setattr(living, 'read', lambda index: (asked.append(len(index)), read(index))[1])
+    ahead = []
+    for k, one in enumerate(seen):
+        pager.need_voxels(one.voxels)
+        pager.memory.add(one)
+        if k in (0, 6):
+            pager.need_voxels(one.voxels)       # as for the image that is sent
+            asked.clear()
+            step(pager.memory, SETTINGS)
+            ahead.append(sum(asked))
+    assert ahead[0] > 0 == ahead[1]
+    living.close()
+
+
+def test_a_full_refinement_reads_each_block_once_where_rows_fit(tmp_path, monkeypatch):
+    rng, path = np.random.default_rng(5), tmp_path / 'map.persem'
+    living, pager = opened(path)
+    rows = np.stack(np.meshgrid(np.arange(0, 96, 4), np.arange(0, 96, 4), [0], indexing='ij'), -1)
+    one = cw.observations(10 ** 18, {tuple(v): (int(rng.choice(cw.IDS[:4])), 1.0)
+                                     for v in rows.reshape(-1, 3).tolist()})
+    pager.memory.add(one)
+    pager.save()
+    pager.let_go((0.0, 0.0, 0.0), 1)
+    assert pager.memory.n_voxels < 10
+    found, read = [], living.read
+
+    def noted(index):
+        blocks = read(index)
+        found.extend(map(tuple, blocks.block_index.tolist()))
+        return blocks
+    monkeypatch.setattr(living, 'read', noted)
+    visited = sum(refine_all(pager.memory, SETTINGS, 250, 7))      # 48 voxels a row of blocks
+    assert visited == 24 ** 2 and len(found) <= 144 == len(set(found))
+    living.close()
+
+
 def at(frames):
     """Return what a map holds after some frames, without refinement."""
     memory = VoxelMemory(0.5)

@@ -23,6 +23,10 @@ from persem_ros.core.memory.pools import CLOCK, SIDE, sparse_zeros
 if TYPE_CHECKING:
     from persem_ros.core.memory.voxel_memory import VoxelMemory
 
+# m along the order of indices: from so far ahead, whatever comes first in it is farthest.
+AHEAD = np.array([1e9, 1e5, 0.0])
+# Of a block: what is around was never asked for; is here; was here, and a part of it left.
+ALONE, RINGED, LEFT = range(3)
 KNOWN = 4               # so many times the blocks in memory are known not to be in the store
 
 
@@ -71,7 +75,8 @@ class Pager:
         self._absent: set[tuple[int, ...]] = set()  # blocks that the store is known not to have
         # By block number: pages of the frames that observed it, up to the last checkpoint.
         self._seen_by = sparse_zeros((0, 0), np.bool_)
-        self._ringed = sparse_zeros(0, np.uint8)    # by block number: all blocks around are here
+        self._ringed = sparse_zeros(0, np.uint8)    # by block number: ALONE, RINGED or LEFT
+        self._sharing = False       # whether frames bring what the next refinement will need
         self._moved = sparse_zeros(0, np.int64)     # by block number: the turn it came or left at
 
     def need(self, index: NDArray[np.int32]) -> None:
@@ -95,7 +100,7 @@ class Pager:
         stamps = memory.m.stamps
         stamps['shown'][blocks] = memory.clock
         stamps['evidence'][blocks] = stamps['stored'][blocks] = 0
-        self._room()[blocks] = 0
+        self._room()[blocks] = ALONE
         self._note(blocks)
 
     def need_voxels(self, voxels: NDArray[np.int32]) -> None:
@@ -105,21 +110,37 @@ class Pager:
             new = np.ones(len(blocks), bool)        # most follow one of the same block
             new[1:] = (blocks[1:] != blocks[:-1]).any(axis=1)
             self.need(blocks[new])
+        if self._sharing:
+            changed = self.memory.changed_blocks()
+            self.need_around(changed[self._room()[changed] == ALONE])
+
+    def need_changed(self) -> NDArray[np.int64]:
+        """
+        Bring all blocks around those that changed into memory; return the numbers of these.
+
+        From now on frames do their share of that, lest all of it be left to the moment at which
+        a refinement begins: once a block, for in a memory that holds little more than what is in
+        view its ring leaves with every frame.
+
+        """
+        self._sharing, changed = True, self.memory.changed_blocks()
+        self.need_around(changed)
+        return changed
 
     def need_around(self, blocks: NDArray[np.int64]) -> None:
         """Bring all blocks around those with the given numbers into memory."""
-        blocks = blocks[self._room()[blocks] == 0]
+        blocks = blocks[self._room()[blocks] != RINGED]
         if not len(blocks):
             return
         steps = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing='ij'), axis=-1).reshape(-1, 3)
         around = self.memory.m.blocks['index'][blocks][:, None] + steps
         missing = self.memory.m.blocks['near'][blocks] == 0
         self.need(around[missing].astype(np.int32))
-        self._room()[blocks] = 1
+        self._room()[blocks] = RINGED
 
     def ringed(self, blocks: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return those of the blocks around which everything is in memory."""
-        return blocks[self._room()[blocks] == 1]
+        return blocks[self._room()[blocks] == RINGED]
 
     def index(self) -> NDArray[np.int32]:
         """Return the indices of all blocks, those in memory and those in the store, ascending."""
@@ -153,8 +174,8 @@ class Pager:
             if 0 < max_voxels < memory.n_voxels:
                 if self.dirty_voxels:
                     self.save()
-                middle = (part[-1] + 0.5) * SIDE * memory.voxel_size + memory.origin
-                self.let_go(middle, max_voxels)
+                here = part[-1] * SIDE * memory.voxel_size + memory.origin
+                self.let_go(here + AHEAD, max_voxels)   # what was visited, the first first
 
     def let_go(self, position: ArrayLike, max_voxels: int = 0, radius: float = 0.0,
                at_once: int = 0) -> int:
@@ -182,7 +203,9 @@ class Pager:
         clean = clean[blocks['near'][clean, 13] > 0]
         numbers = farthest(memory, clean, position, radius, max_voxels, at_once)
         near = blocks['near'][numbers].reshape(-1)
-        self._room()[near[near > 0].astype(np.int64) - 1] = 0
+        near, marks = near[near > 0].astype(np.int64) - 1, self._room()
+        marks[near[marks[near] == RINGED]] = LEFT
+        marks[numbers] = ALONE
         self._absent -= set(map(tuple, blocks['index'][numbers].tolist()))
         self._note(numbers)
         self._seen_by[numbers[numbers < len(self._seen_by)]] = False

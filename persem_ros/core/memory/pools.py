@@ -93,6 +93,14 @@ CLOCK = 14          # grows with everything that changes the map; the time of ST
 FREE_BLOCKS, FREE_VOXELS, FREE_SPILLS, FIRST_BLOCK, FIRST_VOXEL, FIRST_SPILL = range(8, 14)
 
 
+# Address space for the records of each pool, as one part in so many of the machine's memory.
+SHARES = {'blocks': (BLOCK, 2), 'voxels': (VOXEL, 1), 'links': (LINK, 1), 'spills': (SPILL, 2),
+          'offsets': (OFFSETS, 2), 'stamps': (STAMP, 150), 'free': (np.dtype('u4'), 16),
+          'retired': (np.dtype('u4'), 16), 'beliefs': (BELIEF, 8), 'voted': (VOTED, 4),
+          'passed': (PASSED, 4)}
+LEAST = 1 << 26         # bytes of memory that the pools are made for, at least
+
+
 class Store:
     """
     The pools of one map.
@@ -113,22 +121,19 @@ class Store:
     """
 
     def __init__(self) -> None:
-        memory = os.sysconf('SC_PAGE_SIZE') * os.sysconf('SC_PHYS_PAGES')
-        self._pools = {'blocks': _reserve(BLOCK, memory // 2), 'voxels': _reserve(VOXEL, memory),
-                       'links': _reserve(LINK, memory), 'spills': _reserve(SPILL, memory // 2)}
-        self.capacity = {name: len(pool) for name, pool in self._pools.items()}
-        self.beliefs = _reserve(BELIEF, memory // 8)
-        self.voted = _reserve(VOTED, memory // 4)
-        self.passed = _reserve(PASSED, memory // 4)
-        self.capacity['voxels'] = min(self.capacity['voxels'], len(self.beliefs), len(self.voted),
-                                      len(self.passed))
+        pools = _reserved(os.sysconf('SC_PAGE_SIZE') * os.sysconf('SC_PHYS_PAGES'))
+        self.beliefs, self.voted, self.passed = (
+            pools[name] for name in ('beliefs', 'voted', 'passed'))
+        n = {name: len(pool) for name, pool in pools.items()}
+        self.capacity = {
+            'blocks': min(n['blocks'], n['stamps']),
+            'voxels': min(n[name] for name in ('voxels', 'beliefs', 'voted', 'passed')),
+            'links': min(n[name] for name in ('links', 'offsets', 'free', 'retired')),
+            'spills': n['spills']}
         self.arrays = Pools(
-            self._pools['blocks'], self._pools['voxels'], self._pools['links'],
-            self._pools['spills'], _reserve(OFFSETS, memory // 2),
-            _reserve(STAMP, self.capacity['blocks'] * STAMP.itemsize),
-            _reserve(np.dtype('u4'), memory // 16),
-            _reserve(np.dtype('u4'), memory // 16), np.zeros(15, np.int64),
-            np.zeros(65536, np.int64), np.zeros(65536, np.int64))
+            **{name: pools[name] for name in Pools._fields if name in pools},
+            used=np.zeros(15, np.int64), starts=np.zeros(65536, np.int64),
+            changes=np.zeros(65536, np.int64))
 
     def check_room(self, voxels: int) -> None:
         """Refuse to add up to *voxels* new voxels where the machine's memory would not do."""
@@ -162,19 +167,38 @@ def sparse_zeros(shape: Any, dtype: Any) -> Any:
     return np.frombuffer(space, dtype, n).reshape(shape)
 
 
-def _reserve(dtype: np.dtype[Any], nbytes: int) -> NDArray[Any]:
-    """Return a zeroed array over *nbytes* of address space, fewer where the system limits it."""
-    count = min(nbytes // dtype.itemsize, 2 ** 32 - 2)
+def _reserved(memory: int) -> dict[str, NDArray[Any]]:
+    """
+    Return zeroed pools by name over address space for a machine with so many bytes of memory.
+
+    Where the system limits it (strict overcommit, ulimit -v) they are smaller, all in the same
+    measure, and leave as much as they take to whatever else the process does.
+
+    """
+    share = 1
     while True:
         try:
-            space = mmap.mmap(-1, max(1, count) * dtype.itemsize,
-                              flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | NORESERVE)
+            pools = {name: _reserve(dtype, memory // part // share)
+                     for name, (dtype, part) in SHARES.items()}
             break
-        except OSError:             # strict overcommit, or ulimit -v
-            count //= 2
-            if count < 4096:
+        except OSError:
+            share *= 2
+            if memory // share < LEAST:
                 raise PersemError('no memory for a map: the limit on address space '
-                                  '(ulimit -v) is too small') from None
+                                  '(ulimit -v) is too small; raise it, such as by ulimit -v '
+                                  'unlimited') from None
+    if share == 1:
+        return pools
+    pools.clear()
+    return {name: _reserve(dtype, memory // part // (2 * share))
+            for name, (dtype, part) in SHARES.items()}
+
+
+def _reserve(dtype: np.dtype[Any], nbytes: int) -> NDArray[Any]:
+    """Return a zeroed array over *nbytes* of address space; OSError where there is none."""
+    count = max(1, min(nbytes // dtype.itemsize, 2 ** 32 - 2))
+    space = mmap.mmap(-1, count * dtype.itemsize,
+                      flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | NORESERVE)
     if hasattr(mmap, 'MADV_HUGEPAGE'):
         space.madvise(mmap.MADV_HUGEPAGE)
     return np.frombuffer(space, dtype)

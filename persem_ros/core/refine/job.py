@@ -148,7 +148,7 @@ def begin_next(memory: Any, settings: Any, fresh: Any = False) -> Any:
     memory.since_rho += 1
     also = next_blocks(memory.sweep, memory.m.blocks, memory.table, settings.sweep)
     if memory.pager is not None:    # a refinement sees all neighbours, or does not visit
-        memory.pager.need_around(memory.changed_blocks())
+        memory.pager.need_changed()
         also = memory.pager.ringed(also)
     taken = snapshot.take(memory, settings.neighbours, also)
     snapshot.settle(memory)

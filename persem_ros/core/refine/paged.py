@@ -34,14 +34,14 @@ def part(memory: Any, settings: Any, news: bool) -> snapshot.Snapshot:
         There are no parameters to go by: they are to be fitted to all that is in memory.
 
     """
-    pager, changed = memory.pager, memory.changed_blocks()
+    pager = memory.pager
     if news or pager.columns is None:
         taken = snapshot.take(memory, shares=False)
         if news:
             memory.sweep, memory.tally, memory.rho_of = None, None, memory.n_observations
             return taken
         learn(pager, taken, settings)
-    pager.need_around(changed)
+    changed = pager.need_changed()
     also = pager.ringed(next_blocks(memory.sweep, memory.m.blocks, memory.table, settings.sweep))
     near = snapshot.blocks_around(memory.m.blocks, changed, memory.n_blocks)
     near = np.setdiff1d(pager.ringed(near), also)

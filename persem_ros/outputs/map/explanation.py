@@ -219,7 +219,9 @@ def evidence_table(trace: dict[str, Any], name: Namer) -> list[str]:
 def history_table(
         trace: dict[str, Any], frames: FrameTable, name: Namer) -> list[str]:
     """Return the table of the stored observations, with the replay's steps."""
-    stamps = dict(zip(frames.t[::-1].tolist(), frames.stamp[::-1].tolist()))
+    t = frames.here('t')        # rows of what was observed are in memory; of one t, one stamp
+    rows = np.flatnonzero(np.isin(t, [step['t'] for step in trace['steps']]))[::-1]
+    stamps = dict(zip(t[rows].tolist(), frames.here('stamp')[rows].tolist()))
     lines = [f'{"t":>6}  {"stamp, s":<22}{"id":>5}  {"class":<20}{"s":>7}{"gap":>6}{"g":>3}'
              f'{"weight":>9}  leader']
     missing = trace['observations'] - len(trace['steps'])
