@@ -7,6 +7,7 @@ import signal
 
 from clusters import scheduler, workers      # noqa: F401
 from hypothesis import HealthCheck, settings
+import quick_yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 HAVE_ROS = importlib.util.find_spec('rclpy') is not None
@@ -19,6 +20,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 os.fsync = lambda handle: None
 # What stands back for the mapping would starve beside the tests of other processes.
 os.setpriority = lambda *_: None
+quick_yaml.use(quick_yaml.Yaml)
 
 # Node tests need rclpy; without it they are not even imported, and the last line says so.
 collect_ignore = [] if HAVE_ROS else ['ros']

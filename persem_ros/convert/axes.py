@@ -8,7 +8,7 @@ import logging
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.agreement import pairs_to_check, reprojection_error, WORST
+from persem_ros.core.agreement import missed, pairs_to_check, unprojected, WORST
 from persem_ros.core.transforms import inverse
 
 LOG = logging.getLogger(__name__)
@@ -74,12 +74,13 @@ def compare_conventions(depths: dict[int, NDArray[np.float64]],
     """
     count = max(depths) + 1 if depths else 0
     pairs = [(i, j) for i, j in pairs_to_check(count) if i in depths and j in depths]
+    points = {i: unprojected(depths[i], K) for i in {i for i, _ in pairs}}
     result = {}
     for direction, axes in axes_only or product(DIRECTIONS, CAMERA_AXES):
         T = {i: optical_pose(poses[i], direction, axes) for i in depths}
-        errors = [reprojection_error(depths[i], depths[j], inverse(T[j]) @ T[i], K)
-                  for i, j in pairs]
+        errors = [missed(points[i], depths[j], inverse(T[j]) @ T[i], K) for i, j in pairs]
         every = np.concatenate(errors) if errors else np.empty(0)
+        every = np.minimum(every[~np.isnan(every)], WORST)
         if every.size:
             result[direction, axes] = float(every.mean())
     return result

@@ -51,8 +51,9 @@ def unit_factor(depths: Mapping[int, NDArray[np.float64]],
         count = max(depths) + 1 if depths else 0
         pairs = [(i, j) for i, j in pairs_to_check(count) if i in depths and j in depths]
     moves = [inverse(poses[j]) @ poses[i] for i, j in pairs]
-    still = _errors(depths, pairs, [_turn(T) for T in moves], K, 1.0)
-    errors = {factor: _errors(depths, pairs, moves, K, factor) for factor in factors}
+    points = {i: unprojected(depths[i], K) for i in {i for i, _ in pairs}}
+    still = _errors(points, depths, pairs, [_turn(T) for T in moves], K, 1.0)
+    errors = {factor: _errors(points, depths, pairs, moves, K, factor) for factor in factors}
     mine = errors[1.0]
     best = max(factors, key=lambda factor: _gain(errors[factor], still))
     both = np.isfinite(mine) & np.isfinite(errors[best])
@@ -70,25 +71,6 @@ def pairs_to_check(count: int, anchors: int = 8,
     """Return index pairs, spread over *count* frames, near enough to overlap."""
     starts = np.unique(np.linspace(0, max(count - 2, 0), anchors).astype(int))
     return [(int(i), int(i) + step) for i in starts for step in steps if i + step < count]
-
-
-def reprojection_error(
-        depth_i: NDArray[np.float64], depth_j: NDArray[np.float64], T_j_i: NDArray[np.float64],
-        K: NDArray[np.float64]) -> NDArray[np.float64]:
-    """
-    Return how badly the depth of frame i, seen from frame j, agrees with that of frame j.
-
-    Parameters as of misses().
-
-    Returns
-    -------
-    ndarray, shape (N,), float64
-        Relative depth error per pixel with a measurement, cut at WORST, which is also what
-        leaves the image; pixels that meet no measurement are left out.
-
-    """
-    error = misses(depth_i, depth_j, T_j_i, K)
-    return np.minimum(error[~np.isnan(error)], WORST)
 
 
 def misses(
@@ -113,21 +95,33 @@ def misses(
         *depth_i* alone; infinite for what leaves the image, NaN for what meets no measurement.
 
     """
-    height, width = depth_i.shape
-    stride = max(1, int(np.sqrt(depth_i.size / PIXELS)))
+    return missed(unprojected(depth_i, K), depth_j, T_j_i, K)
+
+
+def unprojected(depth: NDArray[np.float64], K: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (3, N) optical points of some PIXELS of the pixels with a measurement, metres."""
+    height, width = depth.shape
+    stride = max(1, int(np.sqrt(depth.size / PIXELS)))
     v, u = np.mgrid[:height:stride, :width:stride].reshape(2, -1)
-    d = depth_i[v, u]
+    d = depth[v, u]
     u, v, d = u[d > 0], v[d > 0], d[d > 0]
-    x, y, z = T_j_i[:3, :3] @ (np.linalg.inv(K) @ (np.stack([u, v, np.ones(len(u))]) * d)) \
-        + T_j_i[:3, 3:]
+    return np.asarray(np.linalg.inv(K) @ (np.stack([u, v, np.ones(len(u))]) * d), np.float64)
+
+
+def missed(points: NDArray[np.float64], depth_j: NDArray[np.float64],
+           T_j_i: NDArray[np.float64], K: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return what misses() returns, of the (3, N) points of unprojected()."""
+    height, width = depth_j.shape
+    x, y, z = T_j_i[:3, :3] @ points + T_j_i[:3, 3:]
     ahead = z > 1e-6
     with np.errstate(divide='ignore', invalid='ignore'):
         u = np.where(ahead, K[0, 0] * x / z + K[0, 2], -1.0)
         v = np.where(ahead, K[1, 1] * y / z + K[1, 2], -1.0)
     seen = (u > -0.5) & (v > -0.5) & (u < width - 0.5) & (v < height - 0.5)
-    error = np.full(len(d), np.inf)
+    error = np.full(len(z), np.inf)
+    z = z[seen]
     hit = depth_j[np.rint(v[seen]).astype(int), np.rint(u[seen]).astype(int)]
-    miss = np.abs(z[seen] - hit) / np.maximum(hit, 1e-6)
+    miss = np.abs(z - hit) / np.maximum(hit, 1e-6)
     error[seen] = np.where(hit > 0, miss, np.nan)
     return error
 
@@ -140,14 +134,15 @@ def _turn(T: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _errors(
-        depths: Mapping[int, NDArray[np.float64]], pairs: Sequence[tuple[int, int]],
-        moves: Sequence[NDArray[np.float64]], K: NDArray[np.float64], factor: float
+        points: Mapping[int, NDArray[np.float64]], depths: Mapping[int, NDArray[np.float64]],
+        pairs: Sequence[tuple[int, int]], moves: Sequence[NDArray[np.float64]],
+        K: NDArray[np.float64], factor: float
 ) -> NDArray[np.float64]:
     """Return the misses of all pairs with the depth times *factor*, one array."""
     # Relative errors are those of a motion that is smaller by as much: no image is multiplied.
     scale = np.ones((4, 4))
     scale[:3, 3] = 1.0 / factor
-    errors = [misses(depths[i], depths[j], T * scale, K)
+    errors = [missed(points[i], depths[j], T * scale, K)
               for (i, j), T in zip(pairs, moves, strict=True)]
     return np.concatenate(errors) if errors else np.empty(0)
 

@@ -93,7 +93,8 @@ def _view(view: View, sample: Sample) -> Iterator[Finding]:
     possible = min(len(labels), len(depth))
     now = int(near.sum())
     exact = int(np.count_nonzero(np.abs(off) <= EXACT))
-    best, count = lags(labels, depth, tolerance)[0]
+    # Where all find depth no other lag explains more.
+    best, count = lags(labels, depth, tolerance)[0] if now < len(labels) else (0, now)
     fine = now >= FINE * possible and not _steady(off[near], best, count, now)
     if fine or exact >= max(FEW * now, 1):
         if now == len(labels) and exact == 0:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from persem_ros.errors import PersemError
 from persem_ros.guard.words import sentence, short
-from persem_ros.guard.yaml_text import check, SETTINGS
+from persem_ros.guard.yaml_text import check, PARSER, SETTINGS
 import yaml
 
 NODE = 'mapper'
@@ -41,6 +41,9 @@ _Loader.add_implicit_resolver(
     'tag:yaml.org,2002:float',
     re.compile(r'[-+]?(([0-9]+\.[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?|[0-9]+[eE][-+]?[0-9]+)$'
                r'|[-+]?\.(inf|Inf|INF)$|\.(nan|NaN|NAN)$'), list('-+.0123456789'))
+# The same by libyaml, for whole files: eight times as fast.
+_Quick: Any = type('_Quick', (PARSER,),
+                   {'yaml_implicit_resolvers': _Loader.yaml_implicit_resolvers})
 
 
 def read(path: Path | str) -> dict[str, Entry]:
@@ -75,9 +78,10 @@ def read_text(text: str, path: Path | str) -> dict[str, Entry]:
 
     """
     try:
-        check(text, SETTINGS, _Loader)
-        root = yaml.compose(text, _Loader)
-    except yaml.YAMLError as error:
+        check(text, SETTINGS, _Quick)
+        root = yaml.compose(text, _Quick)
+    except yaml.YAMLError as noticed:
+        error = _told(text, noticed)
         mark = getattr(error, 'problem_mark', None)
         line = f', line {mark.line + 1}' if mark else ''
         problem = getattr(error, 'problem', None) or 'not text'
@@ -98,6 +102,17 @@ def read_text(text: str, path: Path | str) -> dict[str, Entry]:
     for _, section in sorted(ours, key=lambda item: '*' not in item[0]):
         entries.update(_flat(section, '', path))
     return {name: entry for name, entry in entries.items() if not ROS_OWN.match(name)}
+
+
+def _told(text: str, error: yaml.YAMLError) -> yaml.YAMLError:
+    """Return what is wrong with a text as Python's parser says it: its lines are those to mend."""
+    try:
+        check(text, SETTINGS, _Loader)
+    except yaml.YAMLError as told:
+        return told
+    except ValueError:
+        pass
+    return error
 
 
 def parse(text: str) -> Any:

@@ -11,6 +11,7 @@ import numpy as np
 from persem_ros.errors import PersemError
 from persem_ros.outputs.recording.writer import RecordingWriter
 import pytest
+import quick_yaml
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
 import yaml
@@ -121,6 +122,36 @@ def test_latched_topics_say_so(tmp_path, kind):
         assert qos[topic].durability is QosDurability.TRANSIENT_LOCAL
         assert qos[topic].reliability is QosReliability.RELIABLE
     assert qos['/tf'].durability is QosDurability.VOLATILE
+
+
+@pytest.fixture
+def ruamel():
+    """Give rosbags its own YAML back for a test."""
+    quick_yaml.use(quick_yaml.RUAMEL)
+    yield
+    quick_yaml.use(quick_yaml.Yaml)
+
+
+def test_the_yaml_of_tests_says_what_that_of_users_says(tmp_path, kind, ruamel):
+    def look(path, by):
+        quick_yaml.use(by)
+        with AnyReader([path]) as reader:
+            return [(c.topic, c.msgtype, c.digest, c.msgcount, c.ext) for c in reader.connections]
+
+    found = []
+    for by in (quick_yaml.RUAMEL, quick_yaml.Yaml):
+        quick_yaml.use(by)
+        with RecordingWriter(tmp_path / by.__module__ / 'r', **kind) as out:
+            out.text('legend', 'text', latched=True)
+            out.tf(STAMP, 'map', 'base', T)
+        text = (tmp_path / by.__module__ / 'r' / 'metadata.yaml').read_text()
+        values = yaml.safe_load(text)
+        for topic in values['rosbag2_bagfile_information']['topics_with_message_count']:
+            profiles = topic['topic_metadata'].pop('offered_qos_profiles')
+            topic['qos'] = yaml.safe_load(profiles)
+        found.append((values, [look(tmp_path / by.__module__ / 'r', reader)
+                               for reader in (quick_yaml.RUAMEL, quick_yaml.Yaml)]))
+    assert found[0] == found[1] and found[0][1][0] == found[0][1][1]
 
 
 def test_what_has_no_stamp_does_not_stretch_the_recording(tmp_path, kind):
