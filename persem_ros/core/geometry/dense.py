@@ -14,16 +14,17 @@ from typing import Any, NamedTuple, Optional
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.geometry.groups import Cells, counts, Groups, KINDS, SHAPES
+from persem_ros.core.geometry.neighbours import AROUND, list_neighbours
 from persem_ros.core.geometry.parameters import estimate, Parameters, Sums, TERM
+from persem_ros.core.geometry.posteriors import (
+    decide, say, smooth, state, WORK)
 from persem_ros.core.geometry.softmax import MAGIC, MAGIC_BITS, softmax
 from persem_ros.core.geometry.votes import Votes
-from persem_ros.core.jit import inlined, kernel, split
-from persem_ros.core.memory.pools import SIDE
+from persem_ros.core.jit import kernel, split
 
-WIDE = SIDE + 2     # a block with a cell more on every side
-MOST = 64           # classes; more have few candidates a voxel (core.geometry.sparse)
-WORK = np.dtype([('Q', 'f8', MOST), ('scratch', 'f8', MOST), ('mean', 'f8', MOST)])
 FAINT = 1e-4        # a Q of this and less adds nothing to sums, but for pi's
+ROOM = 1 << 26      # bytes for labelling, however small the map is
+NO_PLACES, NO_SHARES = np.empty(0, np.int64), np.empty(0, np.float32)
 
 
 class Tables(NamedTuple):
@@ -80,7 +81,12 @@ class Dense:
     @property
     def row_bytes(self) -> int:
         """Return the bytes that a voxel takes while it is labelled."""
-        return 16 * len(self.votes.classes)
+        return 24 * len(self.votes.classes) + 4 * AROUND + 1
+
+    @property
+    def room(self) -> int:
+        """Return the bytes that labelling may take in all: 16 a class and voxel of the map."""
+        return max(ROOM, 16 * len(self.votes.classes) * len(self.taken.row))
 
     def start(self, rho: float) -> Sums:
         """Return the sums where Q is p."""
@@ -120,8 +126,7 @@ class Dense:
             Receive the place of the class and its probability.
 
         """
-        where, last, _ = self._rounds(parameters, wanted)
-        split(decide, len(wanted[-1]), wanted[-1], where, last, best, confidence)
+        self._rounds(parameters, wanted, best, confidence)
 
     def posterior(self, parameters: Parameters, wanted: list[NDArray[np.int64]],
                   around: NDArray[np.int64]) -> tuple[NDArray[np.float64], Any]:
@@ -130,23 +135,39 @@ class Dense:
         return (last[where[wanted[-1][0]]].copy(),
                 before[where[around]].mean(axis=0) if len(around) and len(wanted) > 1 else None)
 
-    def _rounds(self, parameters: Parameters, wanted: list[NDArray[np.int64]]) -> tuple[
+    def _rounds(self, parameters: Parameters, wanted: list[NDArray[np.int64]],
+                best: NDArray[np.int64] = NO_PLACES,
+                confidence: NDArray[np.float32] = NO_SHARES) -> tuple[
             NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]:
-        """Return places of rows, and their Q after the last round and after the one before."""
+        """
+        Return places of rows, and their Q after the last round and after the one before.
+
+        What votes and groups say, and who is beside whom, is found once for all rounds. With
+        *best* and *confidence* the last round writes these and not Q.
+
+        """
         votes, groups, taken = self.votes, self.groups, self.taken
-        tables = tables_of(parameters, self.settings)
+        K, n, rest = len(votes.classes), len(wanted[0]), wanted[1:]
         where = np.full(len(taken.number), -1, np.int32)
-        where[wanted[0]] = np.arange(len(wanted[0]))
-        before, after = (np.empty((len(wanted[0]) + 1) * len(votes.classes)) for _ in range(2))
-        for Q in (before, after):       # the last row is nobody's: score() adds it for padding
-            Q[-len(votes.classes):] = 0.0
-        for number, rows in enumerate(wanted):
-            split(_working(score), len(rows), rows, votes.start, votes.count, votes.place,
-                  votes.share, votes.total, groups.fine, groups.coarse, groups.shifted, *tables,
-                  self.blocks, taken.block, taken.cell, taken.row, where, before,
-                  float(self.settings.smoothing) if number else 0.0, after)
+        where[wanted[0]] = np.arange(n)
+        said, before, after = (np.empty((n + 1) * K) for _ in range(3))
+        for Q in (before, after):       # the last row is nobody's: smooth() adds it for padding
+            Q[-K:] = 0.0
+        split(_working(state), n, wanted[0], votes.start, votes.count, votes.place, votes.share,
+              votes.total, groups.fine, groups.coarse, groups.shifted,
+              *tables_of(parameters, self.settings), said, after)
+        if not rest and len(best):
+            split(decide, n, wanted[0], where, after[:-K].reshape(-1, K), best, confidence)
+        if rest:
+            listed, beside = np.empty((n, AROUND), np.int32), np.empty(n, np.uint8)
+            split(list_neighbours, len(rest[0]), rest[0], self.blocks, taken.block, taken.cell,
+                  taken.row, where, listed, beside)
+        for number, rows in enumerate(rest):
             before, after = after, before
-        last, one_before = (Q.reshape(-1, len(votes.classes))[:-1] for Q in (before, after))
+            answer = (best, confidence) if number == len(rest) - 1 else (NO_PLACES, NO_SHARES)
+            split(_working(smooth), len(rows), rows, where, said, K, listed, beside, before,
+                  float(self.settings.smoothing), after, *answer)
+        last, one_before = (Q.reshape(-1, K)[:-1] for Q in (after, before))
         return where, last, one_before
 
 
@@ -233,120 +254,3 @@ def count_posteriors(begin, end, work, start, count, place, share, total, agreem
                 agreed += np.int64(np.rint(q * agreement[r] * TERM))
     return C, mass, R1.reshape(n_fine, K), R2.reshape(n_coarse, K), R3.reshape(n_shifted, K), \
         alike, agreed
-
-
-@inlined
-def say(a, b, n, place, share, log_pi, log_theta, log_fine, one, log_coarse, two, log_shifted,
-        three, weight, Q):
-    """
-    Write what votes a .. b and the groups of a voxel say of each class, unnormalised logs.
-
-    Tables are flat, one, two and three where its groups' rows begin: a view of a row would cost
-    two atomic operations, as arrays do that are not a record's and change from call to call.
-    Unsigned places need no look at their sign, so that loops become vectors.
-
-    """
-    K, u1, u2, u3 = len(log_pi), np.uint64(one), np.uint64(two), np.uint64(three)
-    for z in range(K):
-        Q[z] = 0.0
-    for e in range(a, b):
-        if place[e] < 0:        # a class that the parameters do not know
-            continue
-        p, of = share[e], np.uint64(place[e]) * np.uint64(K)
-        for z in range(K):
-            Q[z] += p * log_theta[of + np.uint64(z)]
-    for z in range(K):
-        u = np.uint64(z)
-        Q[z] = log_pi[z] + n * Q[z] + weight * (
-            log_fine[u1 + u] + log_coarse[u2 + u] + log_shifted[u3 + u])
-
-
-@kernel
-def score(begin, end, work, wanted, start, count, place, share, total, fine, coarse, shifted,
-          log_pi, log_theta, log_fine, log_coarse, log_shifted, rho, weight, blocks, block, cell,
-          row, where, before, smoothing, after):
-    """
-    Write Q of the rows wanted[begin:end] to *after*, at where[row]; tables and Q are flat.
-
-    row is the snapshot's row + 1 of a voxel number; *before* ends with a row of zeros. With a
-    smoothing of 0 no neighbour is looked at, otherwise their Q are read from *before*.
-
-    """
-    K = len(log_pi)
-    Q, scratch, mean = work[0].Q, work[0].scratch, work[0].mean
-    bits = scratch.view(np.int64)
-    near, here = np.zeros((WIDE, WIDE, WIDE), np.int32), np.int64(-1)
-    listed, nobody = np.empty(28 + 4, np.uint64), np.uint64(len(before) - K)
-    for w in range(begin, end):
-        r = wanted[w]
-        n = total[r] / (1.0 + rho * max(total[r] - 1.0, 0.0))
-        say(start[r], start[r] + count[r], n, place, share, log_pi, log_theta, log_fine,
-            fine[r] * K, log_coarse, coarse[r] * K, log_shifted, shifted[r] * K, weight, Q)
-        if smoothing != 0.0:
-            if block[r] != here:
-                here = block[r]
-                places_around(blocks, here, row, where, near)
-            x, y, z = cell[r] >> 6, cell[r] >> 3 & 7, cell[r] & 7
-            around = 0
-            for dx in range(3):
-                for dy in range(3):
-                    for dz in range(3):
-                        place_of = near[x + dx, y + dy, z + dz]
-                        listed[around] = np.uint64(place_of - 1) * np.uint64(K)
-                        around += place_of != 0 and not (dx == 1 and dy == 1 and dz == 1)
-            for c in range(K):
-                mean[c] = 0.0
-            for k in range(around, around + 3):
-                listed[k] = nobody
-            for k in range(0, around, 4):       # four a pass, in the order of one a pass
-                one, two, three, four = listed[k], listed[k + 1], listed[k + 2], listed[k + 3]
-                for c in range(K):
-                    u = np.uint64(c)
-                    mean[c] = (((mean[c] + before[one + u]) + before[two + u])
-                               + before[three + u]) + before[four + u]
-            if around > 0:
-                for c in range(K):
-                    Q[c] += smoothing * (mean[c] / around)
-        softmax(K, Q, scratch, bits)
-        mine = np.uint64(where[r]) * np.uint64(K)
-        for c in range(K):
-            after[mine + np.uint64(c)] = Q[c]
-
-
-@inlined
-def places_around(blocks, b, row, where, near):
-    """Write where[row] + 1 of a block's voxels and of those around it; 0: none."""
-    for x in range(WIDE):
-        for y in range(WIDE):
-            column = (((x + 7) >> 3) * 3 + ((y + 7) >> 3)) * 3
-            at = (((x + 7) & 7) * SIDE + ((y + 7) & 7)) * SIDE
-            for part in range(3):
-                first, last = (0, 1) if part == 0 else (1, 9) if part == 1 else (9, 10)
-                other = np.int64(blocks[b].near[column + part])
-                if other == 0:
-                    for z in range(first, last):
-                        near[x, y, z] = 0
-                    continue
-                cells = blocks[other - 1].cells
-                for z in range(first, last):
-                    v = np.int64(cells[at + ((z + 7) & 7)])
-                    found = np.int64(0)
-                    if 0 < v <= len(row) and row[v - 1] > 0:
-                        found = np.int64(where[np.int64(row[v - 1]) - 1]) + 1
-                    near[x, y, z] = found
-
-
-@kernel
-def decide(begin, end, wanted, where, posterior, best, confidence):
-    """Write the most probable class and its probability; a tie goes to the smaller id."""
-    for w in range(begin, end):
-        r = wanted[w]
-        Q = posterior[where[r]]
-        most = Q[0]
-        for z in range(1, len(Q)):
-            most = max(most, Q[z])
-        z = 0
-        while most - Q[z] > 1e-9:
-            z += 1
-        best[r] = z
-        confidence[r] = Q[z]

@@ -7,10 +7,10 @@ from typing import Any, Union
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.geometry.dense import MOST as MOST_DENSE
 from persem_ros.core.geometry.entries import entries_of
 from persem_ros.core.geometry.groups import Cells, cells_from, cells_listed, KINDS, SHAPES
 from persem_ros.core.geometry.parameters import correlation, estimate, Parameters, Sums
+from persem_ros.core.geometry.posteriors import MOST as MOST_DENSE
 from persem_ros.core.geometry.sparse import estimate_sparse, SparseParameters, SparseSums
 from persem_ros.core.geometry.totals import Numbers
 from persem_ros.core.memory.pools import ranges

@@ -38,7 +38,7 @@ def label_rows(model: Any, parameters: Any, buffer: int = BUFFER,
     taken = model.taken
     n, refined = len(taken.number), taken.refined
     best, confidence = np.zeros(n, np.int64), np.zeros(n, np.float32)
-    rows = max(SLICE, buffer // model.row_bytes)
+    rows = max(SLICE, min(buffer, model.room) // model.row_bytes)
     # The rings are there, and no more.
     if taken.relief is not None and refined < n <= rows:
         rounds = [np.arange(n)] * (SMOOTHED if model.settings.smoothing else 0)

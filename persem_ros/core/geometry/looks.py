@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.geometry.candidates import near_classes
 from persem_ros.core.geometry.columns import cells_at, Columns, columns_of
-from persem_ros.core.geometry.dense import Dense, MOST as MOST_DENSE
+from persem_ros.core.geometry.dense import Dense
 from persem_ros.core.geometry.groups import groups_of
 from persem_ros.core.geometry.method import check_pairs
+from persem_ros.core.geometry.posteriors import MOST as MOST_DENSE
 from persem_ros.core.geometry.shape import shapes_of
 from persem_ros.core.geometry.sparse import Sparse
 from persem_ros.core.geometry.upright import up_of, upright

@@ -8,11 +8,12 @@ from typing import Any, NamedTuple, Optional, Union
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.geometry.columns import cells_at
-from persem_ros.core.geometry.dense import Dense, MOST as MOST_DENSE
+from persem_ros.core.geometry.dense import Dense
 from persem_ros.core.geometry.ground import Ground, ground_of, lower, NONE, TILE, tiles_of
 from persem_ros.core.geometry.groups import Cells, Groups, groups_of
 from persem_ros.core.geometry.labelling import label_rows
 from persem_ros.core.geometry.parameters import Parameters, Sums
+from persem_ros.core.geometry.posteriors import MOST as MOST_DENSE
 from persem_ros.core.geometry.schedule import fit
 from persem_ros.core.geometry.shape import occupy, shapes_of
 from persem_ros.core.geometry.sparse import Sparse, SparseParameters, SparseSums

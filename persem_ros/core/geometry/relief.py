@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.geometry.ground import Ground, ground_of, keys_of, NONE, TILE
 from persem_ros.core.geometry.upright import Up, upright
-from persem_ros.core.jit import inlined, kernel, split
+from persem_ros.core.jit import kernel, split
 from persem_ros.core.memory.pools import ROWS, SIDE, sparse_zeros
 
 
@@ -246,52 +246,3 @@ def mark_columns(numbers, tile, bits, changed, i_axis, j_axis, marks):
                 if columns[place[i_axis] * SIDE + place[j_axis]]:
                     found |= 1 << z
             marks[b, row] = bits[b, row] & found
-
-
-@kernel
-def spread(begin, end, blocks, numbers, rows, reach, out):
-    """
-    Mark, in the blocks numbers[begin:end], the cells within *reach* (8 at most) of marked ones.
-
-    A block's marks are 64 rows of 8 bits, along z; within means along every axis.
-
-    """
-    wide = SIDE + 2 * reach
-    padded, across = np.zeros((wide, wide), np.int64), np.zeros((wide, SIDE), np.int64)
-    for p in range(begin, end):
-        if gathered(blocks[numbers[p]], rows, reach, padded) == 0:
-            continue
-        for x in range(wide):
-            for y in range(SIDE):
-                found = np.int64(0)
-                for d in range(2 * reach + 1):
-                    found |= padded[x, y + d]
-                across[x, y] = found
-        for x in range(SIDE):
-            for y in range(SIDE):
-                found = np.int64(0)
-                for d in range(2 * reach + 1):
-                    found |= across[x + d, y]
-                out[numbers[p], x * SIDE + y] |= np.uint8(found & 255)
-
-
-@inlined
-def gathered(block, rows, reach, padded):
-    """Write rows around a block, spread along z, to bits 0 .. 7; return whether there is any."""
-    near, some = block.near, np.int64(0)
-    for x in range(SIDE + 2 * reach):
-        for y in range(SIDE + 2 * reach):
-            column = (((x + SIDE - reach) >> 3) * 3 + ((y + SIDE - reach) >> 3)) * 3
-            row = ((x - reach) & 7) * SIDE + ((y - reach) & 7)
-            bits = np.int64(0)
-            for part in range(3):
-                other = np.int64(near[column + part])
-                if other > 0:
-                    bits |= np.int64(rows[other - 1, row]) << (8 * part)
-            if bits:
-                for _ in range(reach):
-                    bits |= bits << 1 | bits >> 1
-                bits >>= 8
-            padded[x, y] = bits & 255
-            some |= padded[x, y]
-    return some

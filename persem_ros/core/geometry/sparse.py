@@ -19,6 +19,7 @@ from persem_ros.core.geometry.dense import FAINT
 from persem_ros.core.geometry.entries import (
     count_in, Entries, entries_of, FEW, FREE, listed as as_listed, merged, value_of, wider)
 from persem_ros.core.geometry.groups import Cells, counts, Groups, KINDS, SHAPES
+from persem_ros.core.geometry.labelling import BUFFER
 from persem_ros.core.geometry.parameters import common_arrays, OWN, TERM
 from persem_ros.core.geometry.votes import Votes
 from persem_ros.core.jit import kernel, split
@@ -172,6 +173,11 @@ class Sparse:
     def row_bytes(self) -> int:
         """Return the bytes that a voxel takes while it is labelled, about."""
         return 20 * (LIKELY + 1 + len(self.near[1]) // max(1, len(self.votes.count)))
+
+    @property
+    def room(self) -> int:
+        """Return the bytes that labelling may take in all."""
+        return BUFFER
 
     def start(self, rho: float) -> SparseSums:
         """Return the sums where Q is p."""

@@ -7,11 +7,11 @@ from typing import Any, Union
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.geometry.dense import MOST as MOST_DENSE
 from persem_ros.core.geometry.entries import merged
 from persem_ros.core.geometry.ground import keys_of
 from persem_ros.core.geometry.groups import Cells, cells_listed, KINDS
 from persem_ros.core.geometry.parameters import estimate, Sums
+from persem_ros.core.geometry.posteriors import MOST as MOST_DENSE
 from persem_ros.core.geometry.sparse import estimate_sparse, SparseSums
 
 Any_Sums = Union[Sums, SparseSums]

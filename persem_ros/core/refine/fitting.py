@@ -9,10 +9,10 @@ from typing import Any, Optional
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.geometry.columns import Columns, columns_of, merged
-from persem_ros.core.geometry.dense import MOST as MOST_DENSE
 from persem_ros.core.geometry.groups import cells_listed
 from persem_ros.core.geometry.kept import within
 from persem_ros.core.geometry.looks import look, Looks, model_of, Pairs, pairs_of
+from persem_ros.core.geometry.posteriors import MOST as MOST_DENSE
 from persem_ros.core.geometry.schedule import Schedule
 from persem_ros.core.geometry.totals import Totals, Whole
 from persem_ros.core.memory.dump import evidence_of_voxels

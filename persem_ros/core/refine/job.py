@@ -14,6 +14,7 @@ from persem_ros.core.geometry.kept import fitted_by, from_arrays, in_cells, Tall
 from persem_ros.core.geometry.method import Labelled, relabel
 from persem_ros.core.jit import kernel, split
 from persem_ros.core.memory.blocks import directions
+from persem_ros.core.memory.history import TOGETHER
 from persem_ros.core.memory.pools import CLOCK
 from persem_ros.core.refine import fusion, paged, selection, snapshot
 from persem_ros.core.refine.fitting import Fitting
@@ -414,7 +415,11 @@ def _with(function: Any, scratch: np.dtype[Any]) -> Callable[..., Any]:
 def _enter(begin, end, voxels, beliefs, stamps, now, block, number, majority, labels, sources,
            posterior):
     """Write labels, sources and posteriors of the voxels; stamp the blocks where they are new."""
+    fetched = 0.0       # returned, so that it is done: several records are awaited at once
     for r in range(begin, end):
+        if (r - begin) % TOGETHER == 0:
+            for q in range(r, min(r + TOGETHER, end)):
+                fetched += voxels[number[q]].n + beliefs[number[q]].posterior
         v = number[r]
         gone = voxels[v].gone > 0       # meanwhile
         believed = np.float32(0.0) if gone else posterior[r]
@@ -433,3 +438,4 @@ def _enter(begin, end, voxels, beliefs, stamps, now, block, number, majority, la
             voxels[v].source = sources[r]
             stamps[block[r]].shown = now
             stamps[block[r]].stored = now
+    return fetched

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from persem_ros.core.geometry.columns import Columns, columns_of
 from persem_ros.core.geometry.ground import Ground
 from persem_ros.core.geometry.labelling import SMOOTHED
-from persem_ros.core.geometry.relief import Change, read_bits, Relief, spread
+from persem_ros.core.geometry.relief import Change, read_bits, Relief
 from persem_ros.core.geometry.shape import RADIUS
+from persem_ros.core.geometry.spread import spread
 from persem_ros.core.geometry.upright import up_of, upright
 from persem_ros.core.jit import split
 from persem_ros.core.memory.paging import block_numbers
@@ -226,7 +227,7 @@ def _spread(blocks: Any, n: int, numbers: NDArray[np.int64], rows: NDArray[np.ui
         out[numbers] = rows[numbers]
         return out, numbers
     around = snapshot.blocks_around(blocks, numbers, n)
-    split(spread, len(around), blocks, around, rows, reach, out, grain=256)
+    spread(blocks, around, rows, reach, out)
     return out, around
 
 

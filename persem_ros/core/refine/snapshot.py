@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.jit import kernel, split
 from persem_ros.core.memory.evidence import count_classes, read_evidence
+from persem_ros.core.memory.history import TOGETHER
 from persem_ros.core.memory.pools import CLOCK, ROWS, SIDE, sparse_zeros
 
 if TYPE_CHECKING:
@@ -244,13 +245,18 @@ def _place(begin, end, blocks, block, cell, index):
 @kernel
 def _copy(begin, end, voxels, spills, number, counts, majority, observations, first, head):
     """Copy what the snapshot holds of each voxel's record, and how many classes it has seen."""
+    fetched = np.int64(0)       # returned, so that it is done: several records are awaited at once
     for r in range(begin, end):
+        if (r - begin) % TOGETHER == 0:
+            for q in range(r, min(r + TOGETHER, end)):
+                fetched += voxels[number[q]].n
         voxel = voxels[number[r]]
         counts[r] = count_classes(voxel, spills)
         majority[r] = voxel.majority
         observations[r] = voxel.n
         first[r] = voxel.first
         head[r] = voxel.head
+    return fetched
 
 
 @kernel
