@@ -6,7 +6,8 @@ import sys
 
 from persem_ros.core.warmup import TURN, warm_up
 
-INSIDE = {'_grown', '_vote', 'meet', 'wider', 'log_theta'}     # that only kernels call
+# Those that only kernels call.
+INSIDE = {'_grown', '_vote', 'meet', 'wider', 'log_theta', 'find_shapes'}
 
 SCRIPT = """
 import numpy as np

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from persem_ros.core.geometry.groups import Cells, counts, Groups, KINDS, SHAPES
 from persem_ros.core.geometry.neighbours import AROUND, list_neighbours
 from persem_ros.core.geometry.parameters import estimate, Parameters, Sums, TERM
-from persem_ros.core.geometry.posteriors import (
-    decide, say, smooth, state, WORK)
+from persem_ros.core.geometry.posteriors import say, smooth, state, WORK
 from persem_ros.core.geometry.softmax import MAGIC, MAGIC_BITS, softmax
 from persem_ros.core.geometry.votes import Votes
 from persem_ros.core.jit import kernel, split
@@ -156,12 +155,12 @@ class Dense:
         split(_working(state), n, wanted[0], votes.start, votes.count, votes.place, votes.share,
               votes.total, groups.fine, groups.coarse, groups.shifted,
               *tables_of(parameters, self.settings), said, after)
-        if not rest and len(best):
-            split(decide, n, wanted[0], where, after[:-K].reshape(-1, K), best, confidence)
+        listed, beside = np.empty((n, AROUND), np.int32), np.zeros(n, np.uint8)
         if rest:
-            listed, beside = np.empty((n, AROUND), np.int32), np.empty(n, np.uint8)
             split(list_neighbours, len(rest[0]), rest[0], self.blocks, taken.block, taken.cell,
                   taken.row, where, listed, beside)
+        elif len(best):
+            rest = wanted       # nobody is beside anyone
         for number, rows in enumerate(rest):
             before, after = after, before
             answer = (best, confidence) if number == len(rest) - 1 else (NO_PLACES, NO_SHARES)

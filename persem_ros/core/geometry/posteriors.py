@@ -120,13 +120,3 @@ def most_probable(K, Q):
     while most - Q[z] > TIED:
         z += 1
     return z
-
-
-@kernel
-def decide(begin, end, wanted, where, posterior, best, confidence):
-    """Write the most probable class of the rows wanted[begin:end], and its probability."""
-    for w in range(begin, end):
-        r = wanted[w]
-        Q = posterior[where[r]]
-        z = most_probable(len(Q), Q)
-        best[r], confidence[r] = z, Q[z]

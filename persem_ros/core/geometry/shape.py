@@ -109,12 +109,12 @@ def describe(begin, end, blocks, occupied, block, cell, axis, shape):
         patterns[waiting, 0], patterns[waiting, 1] = low, high
         waiting += 1
         if waiting == LANES:
-            classify(waiting, spreads, axis, found)
+            find_shapes(waiting, spreads, axis, found)
             for k in range(waiting):
                 known[places[k], 0], known[places[k], 1] = patterns[k, 0], patterns[k, 1]
                 shape[rows[k]] = result[places[k]] = found[k]
             waiting = 0
-    classify(waiting, spreads, axis, found)
+    find_shapes(waiting, spreads, axis, found)
     for k in range(waiting):
         shape[rows[k]] = found[k]
 
@@ -151,7 +151,7 @@ def surround(block, occupied, around):
 
 
 @kernel
-def classify(n, spreads, axis, found):
+def find_shapes(n, spreads, axis, found):
     """
     Write tilt * 3 + roughness of n covariances: Jacobi's method, to the last bits.
 
