@@ -211,13 +211,12 @@ class _Move:
         self.moved = load(replace(new, rho=None))       # to be taken anew, and all refined
         self.moved.max_history = self.memory.max_history
         self.moved.keeps_all = self.memory.keeps_all
-        while len(self.since) > AT_ONCE:
-            self.catch_up(AT_ONCE)
+        self.catch_up()
 
-    def catch_up(self, left: int = 0) -> None:
-        """Add what was observed meanwhile, but for the newest *left* frames."""
+    def catch_up(self) -> None:
+        """Add what was observed meanwhile."""
         memory = self.moved
-        while len(self.since) > left:
+        while self.since:
             seen = self.since.popleft()
             best = self.K.pose(seen.T_map_sensor, seen.stamp)
             memory.add(moved_frame(seen, best, memory.voxel_size, memory.origin))

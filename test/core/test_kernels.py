@@ -7,7 +7,7 @@ import sys
 from persem_ros.core.warmup import TURN, warm_up
 
 # Those that only kernels call.
-INSIDE = {'_grown', '_vote', 'meet', 'wider', 'log_theta', 'find_shapes'}
+INSIDE = {'_grown', '_vote', 'wider', 'log_theta', 'find_shapes'}
 
 SCRIPT = """
 import numpy as np

@@ -11,6 +11,7 @@ from persem_ros.core.memory.capture import dump
 from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.frame_table import FrameTable, Session
 from persem_ros.core.memory.move import corrected, correction_of, moved
+from persem_ros.core.memory.regroup import ordered
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.trajectory import between, Trajectory
 from persem_ros.core.transforms import inverse, matrix_to_quaternion, slerp, transform
@@ -138,6 +139,33 @@ def test_nothing_changes_where_nothing_moves():
     # A correction that grows counts from where the observations lie.
     far = moved(new, shift(0.3, 0, 0) @ saved.frames.placed, np.ones(5, bool))
     assert (far.history_offset[:, 0] == int(128.5 + 0.3 / SIZE * 256 - 256)).all()
+
+
+def test_long_histories_that_meet():
+    """More observations of a voxel than there is room for at first, of several histories."""
+    rng, memory = np.random.default_rng(5), VoxelMemory(SIZE)
+    for k in range(200):
+        seen = {(int(x), 0, 0): (int(rng.integers(3)), 1.0) for x in rng.permutation(5)[:3]}
+        memory.add(replace(cw.observations(k, seen), offsets=rng.integers(
+            0, 256, (3, 3)).astype(np.uint8), T_map_sensor=np.eye(4)))
+    frames = [(row.T_map_sensor, shift(0.25 * rng.integers(2), 0, 0) @ row.T_map_sensor)
+              for row in memory.frames]
+    wanted, _ = ref.moved(seen_in(memory), frames, np.arange(200), SIZE)
+    new = moved(dump(memory), np.stack([best for _, best in frames]), np.ones(200, bool))
+    assert max(map(len, wanted.values())) > 64
+    assert seen_in(load(new)) == wanted
+
+
+@given(cw.seeds, st.integers(0, 2000), st.integers(1, 62), st.integers(0, 12),
+       st.integers(1, 11))
+@cw.examples(max_examples=60)
+def test_the_order_is_by_key_and_stable(seed, n, bits, bucket_bits, digit):
+    rng, shift_by = np.random.default_rng(seed), max(0, bits - bucket_bits)
+    keys = rng.integers(0, 1 << bits, max(1, n // 3))[rng.integers(0, max(1, n // 3), n)]
+    room = np.empty(n, np.uint32), np.empty(n, np.uint32), np.empty(n, int), np.empty(n, int)
+    found, rows = ordered(keys, 1 << bits - shift_by, shift_by, digit, *room)
+    assert rows.tolist() == np.argsort(keys, kind='stable').tolist()
+    assert (found == keys[rows]).all()
 
 
 def test_what_was_seen_in_what_had_gone_stays_gone():

@@ -25,7 +25,7 @@ def moved(seen: Observations, best: NDArray[np.float64], voxel_size: float,
     n = int(np.count_nonzero(counted))
     offsets = np.full((n, 3), CENTRE, np.uint8) if seen.offsets is None else seen.offsets[counted]
     new = regrouped(
-        np.ascontiguousarray(seen.voxels[counted]), np.arange(n, dtype=np.int32),
+        np.ascontiguousarray(seen.voxels[counted]), np.ones(n, np.int64),
         np.zeros(n, np.uint8), seen.labels[counted], seen.confidences[counted],
         np.zeros(n, np.int32), offsets, turns_of(seen.T_map_sensor[None], best[None], origin),
         np.ones(1, bool), voxel_size)

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from persem_ros.core.jit import kernel
 from persem_ros.core.memory.append import new_link, take_voxel, write, write_offset
 from persem_ros.core.memory.blocks import make_block, new_table
-from persem_ros.core.memory.evidence import add_evidence, count_classes, read_evidence
+from persem_ros.core.memory.evidence import add_here, count_classes, read_evidence, spill
 from persem_ros.core.memory.frame_table import FrameTable
 from persem_ros.core.memory.history import link_of
 from persem_ros.core.memory.pools import (
-    BLOCKS, CHUNK, CLOCK, INLINE, LINKS, OBSERVATIONS, SIDE, SPILLS, STORED, VOXELS)
+    BLOCKS, CHUNK, CLOCK, INLINE, LINKS, OBSERVATIONS, SIDE, SPILLS, STORED, VOXEL,
+    VOXELS)
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 
 
@@ -154,16 +155,17 @@ def enter(memory: VoxelMemory, saved: Blocks) -> NDArray[np.int64]:
     """Enter blocks that are not in memory, with all marks but no stamps; return their numbers."""
     n, block = len(saved.cell), np.empty(len(saved.block_index), np.int64)
     number = np.empty(n, np.int64)
+    own = [np.require(getattr(saved, name), VOXEL[name], ('C', 'W')) for name in (
+        'switches', 'label', 'majority', 'last', 'first_label', 'source', 'gone')]
     _check_room(memory, saved)
     memory.make_room(len(block), 0)
     _write(memory.m, memory.table, saved.block_index, saved.block_start, saved.cell,
-           np.ascontiguousarray(saved.observations), saved.evidence_start, saved.evidence_class,
-           saved.evidence_sum, saved.history_start, saved.history_label, saved.history_confidence,
-           saved.history_frame, saved.history_offset, saved.dirty, block, number)
+           np.ascontiguousarray(saved.observations), *own, saved.evidence_start,
+           saved.evidence_class, saved.evidence_sum, saved.history_start, saved.history_label,
+           saved.history_confidence, saved.history_frame, saved.history_offset, saved.dirty,
+           block, number)
     memory.relief = None
     memory.growth = None        # some may have the numbers of blocks that left
-    for field in ('switches', 'label', 'majority', 'last', 'first_label', 'source', 'gone'):
-        memory.m.voxels[field][number] = getattr(saved, field)
     memory.n_gone += int(np.count_nonzero(saved.gone))
     if saved.passed.any():
         memory.some_passed = True
@@ -284,8 +286,9 @@ def _read_histories(links, offsets, records, start, labels, confidences, frames,
 
 
 @kernel
-def _write(pools, table, index, block_start, cell, observations, evidence_start, classes, sums,
-           history_start, labels, confidences, frames, where, dirty, made, number):
+def _write(pools, table, index, block_start, cell, observations, switches, label, majority, last,
+           first_label, source, gone, evidence_start, classes, sums, history_start, labels,
+           confidences, frames, where, dirty, made, number):
     """Fill pools from the columns; made and number receive the blocks' and voxels' numbers."""
     blocks, voxels, links, spills, offsets, stamps, free, retired, used, starts, changes = pools
     for b in range(len(index)):
@@ -300,15 +303,22 @@ def _write(pools, table, index, block_start, cell, observations, evidence_start,
             cells[place] = v + 1
             if dirty[r]:
                 changed[place >> 3] |= np.uint8(1 << (place & 7))
+            voxel = voxels[v]
+            voxel.switches, voxel.label, voxel.majority = switches[r], label[r], majority[r]
+            voxel.last, voxel.first_label = last[r], first_label[r]
+            voxel.source, voxel.gone = source[r], gone[r]
             for e in range(evidence_start[r], evidence_start[r + 1]):
-                add_evidence(voxels[v], spills, used, classes[e], sums[e])
+                if not add_here(voxel, classes[e], sums[e]):
+                    spill(voxel, spills, used, classes[e], sums[e])
             n = np.int64(observations[r]) - (history_start[r + 1] - history_start[r])
+            link, place = np.int64(0), n % CHUNK
             for h in range(history_start[r], history_start[r + 1]):
-                if n % CHUNK == 0 or voxels[v].tail == 0:
-                    new_link(voxels[v], links, free, used, n)
-                tail = np.int64(voxels[v].tail) - 1
-                write(links[tail], n % CHUNK, labels[h], confidences[h], frames[h])
-                write_offset(offsets[tail], n % CHUNK, where[h, 0], where[h, 1], where[h, 2])
+                if place == CHUNK or link == 0:
+                    place = place % CHUNK
+                    link = new_link(voxel, links, free, used, n)
+                write(links[link - 1], place, labels[h], confidences[h], frames[h])
+                write_offset(offsets[link - 1], place, where[h, 0], where[h, 1], where[h, 2])
+                place += 1
                 n += 1
-            voxels[v].n = n
+            voxel.n = n
         block.count = block_start[b + 1] - block_start[b]

@@ -59,13 +59,6 @@ def spill(voxel, spills, used, c, s):
 
 
 @inlined
-def add_evidence(voxel, spills, used, c, s):
-    """h_v(c) += s."""
-    if not add_here(voxel, c, s):
-        spill(voxel, spills, used, c, s)
-
-
-@inlined
 def _read_here(place, classes, sums, n):
     """Write the evidence of a voxel or spill record to classes[n:], sums[n:]; return the end."""
     own_sums, own_classes = place.sums, place.classes

@@ -16,11 +16,13 @@ from persem_ros.core.memory.dump import MemoryDump
 from persem_ros.core.memory.frame_table import FrameTable
 from persem_ros.core.memory.pools import SIDE
 from persem_ros.core.memory.regroup import (
-    bounds, displace, gather, leaving, number, ordered, recount, voxels_of)
+    displace, group, leaving, meet, number, ordered, recount, voxels_of)
 from persem_ros.core.trajectory import Correction, correction, Trajectory
 from persem_ros.core.transforms import inverses
 from persem_ros.errors import PersemError
 
+BUCKETS = 16        # bits of a key that observations are first distributed by, at most
+DIGIT = 11          # bits of the others that one pass looks at, at most
 TOO_FAR = 'a corrected pose takes observations too far away for voxels of {} m'
 
 
@@ -34,6 +36,8 @@ class Regrouped:
     leaves : ndarray, shape (F,), uint8
         Which frames moved.
     voxels : ndarray, shape (V, 3), int32
+    keys : ndarray, shape (V,), int64
+        Ascending; the lowest nine bits are the cell, the others differ from block to block.
     start : ndarray, shape (V + 1,), int64
         Where the observations of each begin.
     old : ndarray, shape (V,), int64
@@ -47,6 +51,7 @@ class Regrouped:
 
     leaves: NDArray[np.uint8]
     voxels: NDArray[np.int32]
+    keys: NDArray[np.int64]
     start: NDArray[np.int64]
     old: NDArray[np.int64]
     gone: NDArray[np.uint8]
@@ -107,8 +112,7 @@ def moved(saved: MemoryDump, best: NDArray[np.float64], rows: NDArray[np.bool_])
     """
     frames, counts = saved.frames.copy(), np.diff(saved.history_start)
     new = regrouped(
-        saved.voxels().astype(np.int32),
-        np.repeat(np.arange(len(counts), dtype=np.int32), counts), saved.gone,
+        saved.voxels().astype(np.int32), counts, saved.gone,
         saved.history_label, saved.history_confidence, saved.history_frame, saved.history_offset,
         turns_of(frames.placed, best, saved.origin), rows, saved.voxel_size)
     placed, known = frames.placed.copy(), frames.best.copy()
@@ -129,7 +133,7 @@ def turns_of(placed: NDArray[np.float64], best: NDArray[np.float64],
     return np.concatenate([K[:, :3, :3].reshape(-1, 9), K[:, :3, 3]], axis=1)
 
 
-def regrouped(voxels: NDArray[np.int32], owner: NDArray[np.int32], gone: NDArray[np.uint8],
+def regrouped(voxels: NDArray[np.int32], counts: NDArray[np.int64], gone: NDArray[np.uint8],
               labels: NDArray[np.uint16], confidences: NDArray[np.float32],
               frames: NDArray[np.int32], offsets: NDArray[np.uint8], turns: NDArray[np.float64],
               moves: NDArray[np.bool_], size: float) -> Regrouped:
@@ -140,8 +144,8 @@ def regrouped(voxels: NDArray[np.int32], owner: NDArray[np.int32], gone: NDArray
     ----------
     voxels : ndarray, shape (V, 3), int32
         Their indices.
-    owner : ndarray, shape (N,), int32
-        The row in voxels of each observation; those of a voxel follow each other.
+    counts : ndarray, shape (V,), int64
+        How many observations each has; those of a voxel follow each other.
     gone : ndarray, shape (V,), uint8
         Whether a voxel had gone.
     labels, confidences, frames, offsets : ndarray
@@ -154,6 +158,7 @@ def regrouped(voxels: NDArray[np.int32], owner: NDArray[np.int32], gone: NDArray
         Metres.
 
     """
+    owner = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
     n, leaves = len(owner), np.zeros(len(moves), np.uint8)
     voxels, gone, labels, confidences, frames, offsets, moves = (
         np.require(column, kind, ('C', 'W')) for column, kind in (
@@ -161,39 +166,41 @@ def regrouped(voxels: NDArray[np.int32], owner: NDArray[np.int32], gone: NDArray
             (frames, np.int32), (offsets, np.uint8), (moves, np.uint8)))
     leaving(voxels, owner, frames, offsets, turns, moves, size, leaves)
     out, places = np.empty((n, 3), np.int32), np.empty((n, 3), np.uint16)
-    if not displace(voxels, owner, frames, offsets, turns, leaves, size, out, places):
+    low, high = np.zeros(3, np.int64), np.zeros(3, np.int64)
+    if not displace(voxels, owner, frames, offsets, turns, leaves, size, out, places, low, high):
         raise PersemError(TOO_FAR.format(size))
-    low, span, keys = _keys(out)
-    del out
-    # numpy's arrays of this size lie in huge pages, those that kernels make do not.
-    order = ordered(keys, frames, len(moves), int(keys.max(initial=0)), np.empty(n, np.uint32),
-                    np.empty(n, np.uint32), np.empty(n, np.int64), np.empty(n, np.int64))
-    kept: list[NDArray[Any]] = [np.empty(n, np.uint16), np.empty(n, np.float32),
-                                np.empty(n, np.int32), np.empty((n, 3), np.uint8)]
+    span = _span(low, high)
+    keys = np.empty(n, np.int64)
+    number(out, low, span, keys)
+    bits = int(span[0] * span[1] * span[2] * 512 - 1).bit_length()
+    shift = max(0, bits - min(BUCKETS, (n // 16).bit_length()))
+    digit = -(-shift // max(1, -(-shift // DIGIT)))
+    # numpy's arrays of this size lie in huge pages, those that kernels make do not. Those of out
+    # are of use once more.
+    keys, order = ordered(keys, 1 << bits - shift, shift, max(1, digit), np.empty(n, np.uint32),
+                          np.empty(n, np.uint32), out.reshape(-1)[:2 * n].view(np.int64),
+                          np.empty(n, np.int64))
+    first, kept_frames = np.empty(n + 1, np.uint32), np.empty(n, np.int32)
     start, where = np.zeros(n + 1, np.int64), np.empty(n, np.int64)
     old, all_gone = np.empty(n, np.int64), np.empty(n, np.uint8)
-    counts = np.bincount(owner, minlength=len(voxels))
-    v = gather(order, keys, frames, owner, voxels, counts, gone, leaves, labels, confidences,
-               places, *kept, start, where, old, all_gone) if n else 0
-    found = np.empty((v, 3), np.int32)
-    voxels_of(where[:v], low, span, found)
-    return Regrouped(leaves, found, start[:v + 1].copy(), old[:v].copy(), all_gone[:v].copy(),
-                     *(column[:start[v]] for column in kept))
+    v = group(keys, order, frames, owner, counts, gone, bool(gone.any()), leaves, first,
+              kept_frames, start, where, old, all_gone)
+    start, where = start[:v + 1].copy(), where[:v].copy()
+    n, found = int(start[v]), np.empty((v, 3), np.int32)
+    kept = np.empty(n, np.uint16), np.empty(n, np.float32), np.empty((n, 3), np.uint8)
+    meet(first[:n + 1], order, owner, voxels, labels, confidences, places, *kept)
+    voxels_of(where, low, span, found)
+    return Regrouped(leaves, found, where, start, old[:v].copy(), all_gone[:v].copy(), kept[0],
+                     kept[1], kept_frames[:n], kept[2])
 
 
-def _keys(voxels: NDArray[np.int32],
-          ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return the lowest block, how many blocks there are along each axis, and number()'s keys."""
-    low, high = np.zeros(3, np.int64), np.zeros(3, np.int64)
-    if len(voxels):
-        bounds(voxels, low, high)
-    span = high - low + 1
+def _span(low: NDArray[np.int64], high: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return how many blocks there are along each axis; refuse more than keys can number."""
+    span = np.maximum(high - low + 1, 1)
     if float(span[0]) * float(span[1]) * float(span[2]) >= 2.0 ** 54:
         raise PersemError('the corrected map is too wide: its ends are '
                           f'{" x ".join(str(s * SIDE) for s in span.tolist())} voxels apart')
-    keys = np.empty(len(voxels), np.int64)
-    number(voxels, low, span, keys)
-    return low, span, keys
+    return span
 
 
 def _columns(saved: MemoryDump, new: Regrouped) -> dict[str, Any]:
@@ -205,20 +212,19 @@ def _columns(saved: MemoryDump, new: Regrouped) -> dict[str, Any]:
     starts, changes = np.zeros(65536, np.int64), np.zeros(65536, np.int64)
     entries = recount(new.start, new.labels, new.confidences, evidence_start, classes, sums,
                       majority, switches, starts, changes)
-    blocks = new.voxels >> 3
-    first = np.flatnonzero(np.concatenate(
-        [np.ones(min(v, 1), bool), (blocks[1:] != blocks[:-1]).any(axis=1)]))
-    cell = new.voxels & 7
-    same = new.old >= 0
-    before = np.where(same, new.old, 0)
+    first = np.flatnonzero(np.diff(new.keys >> 9, prepend=-1))
+    same = np.flatnonzero(new.old >= 0)
+    before = new.old[same]
 
     def kept(column: NDArray[Any], otherwise: Any) -> NDArray[Any]:
-        values = column[before] if len(column) else np.zeros(v, column.dtype)
-        return np.where(same, values, otherwise).astype(column.dtype)
+        values = np.full(v, otherwise, column.dtype) if np.isscalar(otherwise) else \
+            otherwise.astype(column.dtype)
+        values[same] = column[before]
+        return values
 
     return {
-        'block_index': blocks[first], 'block_start': np.append(first, v),
-        'cell': (cell[:, 0] * 64 + cell[:, 1] * 8 + cell[:, 2]).astype(np.uint16),
+        'block_index': new.voxels[first] >> 3, 'block_start': np.append(first, v),
+        'cell': (new.keys & 511).astype(np.uint16),
         'observations': np.diff(new.start).astype(np.uint32), 'switches': switches,
         'label': kept(saved.label, majority), 'majority': majority,
         'last': new.labels[new.start[1:] - 1], 'first_label': new.labels[new.start[:-1]],

@@ -216,10 +216,3 @@ def taken(records: NDArray[Any], rows: NDArray[np.int64]) -> NDArray[Any]:
         return records.take(rows, 0)
     wide = records.view(np.uint8).reshape(len(records), records.itemsize)
     return wide.take(rows, 0).view(records.dtype).reshape(-1)
-
-
-def joined(parts: list[NDArray[Any]]) -> NDArray[Any]:
-    """Return np.concatenate() of columns or of records; numpy is slow at the latter."""
-    if parts[0].dtype.names is None:
-        return np.concatenate(parts)
-    return np.concatenate([one.view(np.uint8) for one in parts]).view(parts[0].dtype)

@@ -7,7 +7,6 @@ from persem_ros.frames import UNKNOWN
 
 FINE = 65536        # of a voxel's edge: what the place of a point is counted in, 16 bits
 COARSE = 256        # the same in offsets
-DIGIT = 11          # bits that one pass of a sort looks at
 LIMIT = 1 << 30     # voxels from the origin, beyond which nothing can be placed
 
 
@@ -41,44 +40,41 @@ def middle(voxel, offset, size):
 
 
 @kernel
-def displace(voxels, owner, frames, offsets, turns, leaves, size, out, places):
+def displace(voxels, owner, frames, offsets, turns, leaves, size, out, places, low, high):
     """
     Write each observation's voxel to out (N, 3) int32 and its place there to places, uint16.
 
-    Those of frames that are not in leaves stay. Returns whether all have a place.
+    Those of frames that are not in leaves stay. low and high (3,) int64 receive the smallest and
+    the largest index of a block. Returns whether all have a place.
 
     """
+    for axis in range(3):
+        low[axis], high[axis] = LIMIT, -LIMIT
     for p in range(len(owner)):
         f, o = frames[p], owner[p]
-        if not leaves[f]:
+        if leaves[f]:
+            x = middle(voxels[o, 0], offsets[p, 0], size)
+            y = middle(voxels[o, 1], offsets[p, 1], size)
+            z = middle(voxels[o, 2], offsets[p, 2], size)
+            for axis in range(3):
+                at = (turns[f, 3 * axis] * x + turns[f, 3 * axis + 1] * y
+                      + turns[f, 3 * axis + 2] * z + turns[f, 9 + axis]) / size
+                voxel = np.floor(at)
+                if not abs(voxel) < LIMIT:
+                    return False
+                out[p, axis] = np.int32(voxel)
+                places[p, axis] = np.uint16(min((at - voxel) * FINE, FINE - 1.0))
+        else:
             for axis in range(3):
                 out[p, axis] = voxels[o, axis]
                 places[p, axis] = offsets[p, axis] * np.int64(FINE // COARSE)
-            continue
-        x = middle(voxels[o, 0], offsets[p, 0], size)
-        y = middle(voxels[o, 1], offsets[p, 1], size)
-        z = middle(voxels[o, 2], offsets[p, 2], size)
         for axis in range(3):
-            at = (turns[f, 3 * axis] * x + turns[f, 3 * axis + 1] * y + turns[f, 3 * axis + 2] * z
-                  + turns[f, 9 + axis]) / size
-            low = np.floor(at)
-            if not abs(low) < LIMIT:
-                return False
-            out[p, axis] = np.int32(low)
-            places[p, axis] = np.uint16(min((at - low) * FINE, FINE - 1.0))
+            block = np.int64(out[p, axis]) >> 3
+            if block < low[axis]:
+                low[axis] = block
+            if block > high[axis]:
+                high[axis] = block
     return True
-
-
-@kernel
-def bounds(voxels, low, high):
-    """Write the smallest and largest block index of voxels (n, 3), n > 0."""
-    for axis in range(3):
-        low[axis] = high[axis] = voxels[0, axis] >> 3
-    for p in range(len(voxels)):
-        for axis in range(3):
-            b = np.int64(voxels[p, axis]) >> 3
-            low[axis] = min(low[axis], b)
-            high[axis] = max(high[axis], b)
 
 
 @kernel
@@ -92,139 +88,219 @@ def number(voxels, low, span, keys):
 
 @kernel
 def voxels_of(keys, low, span, voxels):
-    """Write the voxels (n, 3) int32 that have these keys of number()."""
+    """Write the voxels (n, 3) int32 that have these keys of number(), which ascend."""
+    last, i, j, k = np.int64(-1), np.int64(0), np.int64(0), np.int64(0)
     for p in range(len(keys)):
         block, cell = keys[p] >> 9, keys[p] & 511
-        row = block // span[2]
-        voxels[p, 0] = (row // span[1] + low[0]) * 8 + (cell >> 6)
-        voxels[p, 1] = (row % span[1] + low[1]) * 8 + (cell >> 3 & 7)
-        voxels[p, 2] = (block % span[2] + low[2]) * 8 + (cell & 7)
+        if block != last:       # divisions are slow
+            row = block // span[2]
+            i, j = (row // span[1] + low[0]) * 8, (row % span[1] + low[1]) * 8
+            k, last = (block % span[2] + low[2]) * 8, block
+        voxels[p, 0] = i + (cell >> 6)
+        voxels[p, 1] = j + (cell >> 3 & 7)
+        voxels[p, 2] = k + (cell & 7)
 
 
 @kernel
-def ordered(keys, frames, n_frames, largest, order, after, own, other):
+def ordered(keys, buckets, shift, digit, order, after, own, other):
     """
-    Return the order (n,) uint32 by key, then by frame, then by row: one of order and after.
+    Return the keys (n,) in order and the rows (n,) uint32 that have them, equal ones as they were.
 
-    Room for n numbers: order, after uint32; own, other int64.
+    First into buckets by key >> shift, which keeps together what lies together, for observations
+    come block by block and do not move far; then each bucket, in the cache, by *digit* bits at a
+    time of the others. Room for n numbers: order, after uint32; own, other int64.
 
     """
-    n, count = len(keys), np.zeros(n_frames + 1, np.int64)
+    n, ends, digits = len(keys), np.zeros(buckets + 1, np.int64), np.empty(1 << digit, np.int64)
     for p in range(n):
-        count[frames[p] + 1] += 1
-    for f in range(n_frames):
-        count[f + 1] += count[f]
+        ends[(keys[p] >> shift) + 1] += 1
+    for d in range(buckets):
+        ends[d + 1] += ends[d]
     for p in range(n):
-        order[count[frames[p]]] = p
-        count[frames[p]] += 1
-    for p in range(n):
-        own[p] = keys[order[p]]
-    shift = np.int64(0)
-    while largest >> shift > 0:
-        starts = np.zeros((1 << DIGIT) + 1, np.int64)
-        for p in range(n):
-            starts[(own[p] >> shift & ((1 << DIGIT) - 1)) + 1] += 1
-        for d in range(1 << DIGIT):
-            starts[d + 1] += starts[d]
-        for p in range(n):
-            d = own[p] >> shift & ((1 << DIGIT) - 1)
-            q = starts[d]
-            starts[d] += 1
-            other[q] = own[p]
-            after[q] = order[p]
-        own, other = other, own
-        order, after = after, order
-        shift += DIGIT
-    return order
+        key = keys[p]
+        q = ends[key >> shift]
+        ends[key >> shift] = q + 1
+        own[q] = key
+        order[q] = p
+    begin, odd = np.int64(0), -(-shift // digit) % 2 == 1
+    for d in range(buckets):
+        if ends[d] > begin:
+            for at in range(0, shift, digit):
+                if at // digit % 2 == 0:
+                    by_digit(begin, ends[d], at, digit, own, order, other, after, digits)
+                else:
+                    by_digit(begin, ends[d], at, digit, other, after, own, order, digits)
+            begin = ends[d]
+    if odd:
+        return other, after
+    return own, order
+
+
+@inlined
+def by_digit(begin, end, at, digit, keys, rows, new_keys, new_rows, digits):
+    """Sort the part begin .. end by *digit* bits of the keys from *at* on."""
+    mask = (1 << digit) - 1
+    for d in range(1 << digit):
+        digits[d] = 0
+    for p in range(begin, end):
+        digits[keys[p] >> at & mask] += 1
+    q = begin
+    for d in range(1 << digit):
+        count = digits[d]
+        digits[d] = q
+        q += count
+    for p in range(begin, end):
+        d = keys[p] >> at & mask
+        q = digits[d]
+        digits[d] = q + 1
+        new_keys[q] = keys[p]
+        new_rows[q] = rows[p]
 
 
 @kernel
-def gather(order, keys, frames, owner, voxels, counts, gone, leaves, labels, confidences, places,
-           out_labels, out_confidences, out_frames, out_offsets, start, voxel_keys, old, out_gone):
+def group(keys, order, frames, owner, counts, gone, some_gone, leaves, first, out_frames, start,
+          voxel_keys, old, out_gone):
     """
-    Make one observation of those of a frame that meet in a voxel; return how many voxels are left.
+    Sort each voxel's observations by frame, find which of a frame meet; return how many voxels.
 
     Parameters
     ----------
-    order, keys, frames, owner, labels, confidences, places : ndarray, shape (N,)
-        The observations, and the rows of the voxels that they were in.
-    voxels, counts, gone : ndarray, shape (V,)
-        These voxels: indices (V, 3), how many observations each had, whether it had gone.
+    keys, order : ndarray, shape (N,)
+        The voxels of observations in order, and their rows, which are sorted by frame, then row.
+    frames, owner : ndarray, shape (N,)
+        By row: the frame, and the row of the voxel that it was in.
+    counts, gone : ndarray, shape (V,)
+        Of these voxels: how many observations each had, whether it had gone.
+    some_gone : bool
+        Whether any had.
     leaves : ndarray, shape (F,)
         Frames that move.
-    out_labels, out_confidences, out_frames, out_offsets : ndarray, shape (N,)
-        Receive what is left of the observations.
+    first, out_frames : ndarray, shape (N + 1,), (N,)
+        Receive, by observation that is left, where in the order its own begin, and the frame.
     start, voxel_keys, old, out_gone : ndarray, shape (N,), start (N + 1,)
         Receive, by voxel, where its observations begin, its key, the row of the voxel that it is
         where nothing came and nothing left, else -1, and whether all of it had gone.
 
     """
-    # Not the literal 0, for whose type numba would compile meet() a second time.
-    n, v, at = np.int64(0), -1, np.int64(0)
-    sums = np.zeros(65536)
-    N = len(order)
-    while at < N:
-        key, f = keys[order[at]], frames[order[at]]
-        end = at + 1
-        while end < N and keys[order[end]] == key and frames[order[end]] == f:
+    N, n, v, begin = len(keys), np.int64(0), np.int64(0), np.int64(0)
+    one, other = np.empty(64, np.int64), np.empty(64, np.int64)
+    while begin < N:
+        end = begin + 1
+        while end < N and keys[end] == keys[begin]:
             end += 1
-        if v < 0 or voxel_keys[v] != key:
-            v += 1
-            start[v] = n
-            voxel_keys[v] = key
-            old[v] = owner[order[at]]
-            out_gone[v] = 1
-        if leaves[f]:
-            old[v] = -1
-        for p in range(at, end):
-            if not gone[owner[order[p]]]:
+        k = end - begin
+        if k > len(one):
+            one, other = np.empty(2 * k, np.int64), np.empty(2 * k, np.int64)
+        if descending(k, begin, order, frames, one):
+            while merge_neighbours(k, one, other) > 1:
+                one, other = other, one
+            for q in range(k):
+                one[q] = other[q]
+                order[begin + q] = other[q] & 0xffffffff
+        start[v], voxel_keys[v], out_gone[v] = n, keys[begin], 1
+        same, last = np.int64(owner[order[begin]]), np.int64(-1)
+        for q in range(k):
+            f = one[q] >> 32
+            if f != last:
+                first[n], out_frames[n] = begin + q, f
+                n += 1
+            last = f
+            if leaves[f]:
+                same = -1
+            if not some_gone or not gone[owner[order[begin + q]]]:
                 out_gone[v] = 0
+        # One of which some have left is another, too.
+        old[v] = same if same >= 0 and counts[same] == n - start[v] else -1
+        v += 1
+        begin = end
+    start[v], first[n] = n, N
+    return v
+
+
+@inlined
+def descending(k, begin, order, frames, numbers):
+    """Write frame << 32 | row of order[begin : begin + k] to numbers; return if they descend."""
+    descends, last = False, np.int64(-1)
+    for q in range(k):
+        row = np.int64(order[begin + q])
+        own = np.int64(frames[row]) << 32 | row
+        descends |= own < last
+        numbers[q] = own
+        last = own
+    return descends
+
+
+@inlined
+def merge_neighbours(k, numbers, merged):
+    """
+    Merge each second ascending run of numbers[:k] with the one before; return how many are left.
+
+    Those of a voxel are a few histories one after the other, each in the order of its frames.
+
+    """
+    runs, begin = 0, 0
+    while begin < k:
+        half = begin + 1
+        while half < k and numbers[half] > numbers[half - 1]:
+            half += 1
+        end = min(half + 1, k)
+        while end < k and numbers[end] > numbers[end - 1]:
+            end += 1
+        a, b = begin, half
+        for q in range(begin, end):
+            if b >= end or (a < half and numbers[a] < numbers[b]):
+                merged[q] = numbers[a]
+                a += 1
+            else:
+                merged[q] = numbers[b]
+                b += 1
+        runs += 1
+        begin = end
+    return runs
+
+
+@kernel
+def meet(first, order, owner, voxels, labels, confidences, places, out_labels, out_confidences,
+         out_offsets):
+    """
+    Make one observation of each group: the label with the largest sum of confidences.
+
+    first (n + 1,) as of group(); the others by row; out_... receive n observations.
+
+    """
+    sums = np.zeros(65536)
+    for n in range(len(first) - 1):
+        at, end = np.int64(first[n]), np.int64(first[n + 1])
         if end == at + 1:
             p = order[at]
             out_labels[n], out_confidences[n] = labels[p], confidences[p]
             for axis in range(3):
                 out_offsets[n, axis] = places[p, axis] // (FINE // COARSE)
-        else:
-            meet(order, at, end, owner, voxels, labels, confidences, places, sums, n, out_labels,
-                 out_confidences, out_offsets)
-        out_frames[n] = f
-        n += 1
-        at = end
-    start[v + 1] = n
-    for r in range(v + 1):          # one of which some have left is another, too
-        if old[r] >= 0 and counts[old[r]] != start[r + 1] - start[r]:
-            old[r] = -1
-    return v + 1
-
-
-@kernel
-def meet(order, at, end, owner, voxels, labels, confidences, places, sums, n, out_labels,
-         out_confidences, out_offsets):
-    """Make one observation of some of a frame: the label with the largest sum of confidences."""
-    for p in range(at + 1, end):        # in lexicographic order of the voxels that they were in
-        q, mine = p, order[p]
-        while q > at and before(voxels, owner[mine], owner[order[q - 1]]):
-            order[q] = order[q - 1]
-            q -= 1
-        order[q] = mine
-    for p in range(at, end):
-        sums[labels[order[p]]] += np.float64(confidences[order[p]])
-    most, best = 0.0, np.int64(UNKNOWN)
-    for p in range(at, end):
-        most = max(most, sums[labels[order[p]]])
-    for p in range(at, end):
-        c = np.int64(labels[order[p]])
-        if most - sums[c] <= TIE:
-            best = min(best, c)
-    out_labels[n] = best
-    out_confidences[n] = np.float32(sums[best] / (end - at))
-    for p in range(at, end):
-        sums[labels[order[p]]] = 0.0
-    for axis in range(3):
-        total = np.int64(0)
+            continue
+        for p in range(at + 1, end):    # in lexicographic order of the voxels that they were in
+            q, mine = p, order[p]
+            while q > at and before(voxels, owner[mine], owner[order[q - 1]]):
+                order[q] = order[q - 1]
+                q -= 1
+            order[q] = mine
         for p in range(at, end):
-            total += places[order[p], axis]
-        out_offsets[n, axis] = total // ((end - at) * (FINE // COARSE))
+            sums[labels[order[p]]] += np.float64(confidences[order[p]])
+        most, best = 0.0, np.int64(UNKNOWN)
+        for p in range(at, end):
+            most = max(most, sums[labels[order[p]]])
+        for p in range(at, end):
+            c = np.int64(labels[order[p]])
+            if most - sums[c] <= TIE:
+                best = min(best, c)
+        out_labels[n] = best
+        out_confidences[n] = np.float32(sums[best] / (end - at))
+        for p in range(at, end):
+            sums[labels[order[p]]] = 0.0
+        for axis in range(3):
+            total = np.int64(0)
+            for p in range(at, end):
+                total += places[order[p], axis]
+            out_offsets[n, axis] = total // ((end - at) * (FINE // COARSE))
 
 
 @inlined
