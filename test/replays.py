@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from persem_ros.core.refine.regions import REGIONS
-from persem_ros.inputs.decode import messages
+from persem_ros.inputs.decode import image_messages, messages
 from persem_ros.inputs.recording.recording import Recording
 from persem_ros.outputs.map import store
 from persem_ros.outputs.results.rundir import FILES
@@ -172,7 +172,7 @@ def recorded(folder):
 
 def refined_images(folder, topic='/mapper/labels'):
     """Return [(stamp, frame_id, encoding, (H, W) int32), ...] of a replay's refined/."""
-    return [(messages.stamp_ns(m), m.header.frame_id, m.encoding, messages.labels(m)[0])
+    return [(messages.stamp_ns(m), m.header.frame_id, m.encoding, image_messages.labels(m)[0])
             for m in recorded(Path(folder) / 'refined')[0][topic]]
 
 

@@ -69,7 +69,7 @@ ROWS = {
     'from the tenth': (ORDER, 'test_seconds_count_from_the_first_complete'),
     'between two stamps': (ORDER, 'test_start_and_end'),
     'every fifth': (ORDER, 'test_every_third_complete_frame'),
-    '`16UC1` or `mono16`': ('inputs/test_messages.py', 'test_depth_of_other_encodings'),
+    '`16UC1` or `mono16`': ('inputs/test_image_messages.py', 'test_depth_of_other_encodings'),
     'another unit': ('preflight/test_depth_fit.py', 'test_a_unit_with_which_frames_agree'),
     'the distance along': ('preflight/test_depth_fit.py', 'test_the_kind_with_which_frames'),
     '`stereo_msgs/Disp': (IMAGES, 'test_a_disparity_image_is_depth'),

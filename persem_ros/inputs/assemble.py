@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.frames import Camera, Cloud, Frame, Matching, same_aspect
 from persem_ros.inputs import fit
-from persem_ros.inputs.decode import clouds, messages
+from persem_ros.inputs.decode import clouds, image_messages, messages
 from persem_ros.inputs.decode.labels import LabelReader
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.names import renamed
@@ -89,9 +89,9 @@ class Assembler:
 
     def depth(self, msg: Any) -> NDArray[np.float64]:
         """Return the depth image of a message in metres (H, W), by depth.scale and kind."""
-        if messages.is_disparity(msg) or self._depth.kind == 'disparity':
-            return messages.disparity(msg, self._depth.scale)
-        return messages.depth(msg, self._depth.scale)
+        if image_messages.is_disparity(msg) or self._depth.kind == 'disparity':
+            return image_messages.disparity(msg, self._depth.scale)
+        return image_messages.depth(msg, self._depth.scale)
 
     def frame(self, match: Match, decoded: dict[str, Any]) -> tuple[Frame, list[BadMessage]]:
         """
@@ -132,7 +132,7 @@ class Assembler:
         faults: list[BadMessage] = []
         truth_of = partial(ids, reader=self._truth_reader)
         readers: dict[str, Callable[[Any], NDArray[Any]]] = {
-            TRUTH: _truth_like(labels, truth_of), COLOR: messages.color}
+            TRUTH: _truth_like(labels, truth_of), COLOR: image_messages.color}
         for kind, read in readers.items():
             if kind in decoded:
                 try:
@@ -197,7 +197,7 @@ class Assembler:
         least = self._depth.min_confidence
         if msg is None or not least:
             return
-        trust = _named(DEPTH_CONFIDENCE, messages.depth_confidence, msg)
+        trust = _named(DEPTH_CONFIDENCE, image_messages.depth_confidence, msg)
         if not same_aspect(trust.shape[::-1], depth.shape[::-1]):
             raise BadMessage(f'{DEPTH_CONFIDENCE}: another shape', 'a depth confidence image has '
                              f'the size {trust.shape[1]} x {trust.shape[0]}, its depth image '
@@ -253,7 +253,7 @@ def _weights(labels: NDArray[np.int32], msg: Any) -> NDArray[np.uint32] | None:
     """Return the weights of labels (H, W) that a confidence message has, None without."""
     if msg is None:
         return None
-    weights = _named(CONFIDENCE, messages.confidence, msg)
+    weights = _named(CONFIDENCE, image_messages.confidence, msg)
     if weights.shape != labels.shape:
         raise BadMessage(f'{CONFIDENCE}: another size', f'a confidence image has the size '
                          f'{weights.shape[1]} x {weights.shape[0]}, its label image '

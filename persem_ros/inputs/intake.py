@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.transforms import inverse
 from persem_ros.inputs.assemble import Assembler, OTHER_CAMERA, other_camera_sentence
-from persem_ros.inputs.decode import clouds, legends, messages
+from persem_ros.inputs.decode import clouds, legends, messages, pose_messages
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.names import Names
 from persem_ros.inputs.sync.pairing import (
@@ -246,11 +246,11 @@ class Intake:
             return
         assert isinstance(taker, PoseBuffer)
         if role == POSE:
-            found = messages.pose(msg)
+            found = pose_messages.pose(msg)
             if not taker.add(*found):
                 self.dropped[f'pose: {repeated(found[0])}'] += 1
         else:
-            good, faults = messages.transforms(msg)
+            good, faults = pose_messages.transforms(msg)
             for found in good:
                 if role == TF:
                     taker.add_tf(*found)

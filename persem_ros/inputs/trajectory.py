@@ -14,7 +14,8 @@ from persem_ros.core.transforms import transform
 from persem_ros.errors import PersemError
 from persem_ros.guard.words import short
 from persem_ros.inputs.decode import messages
-from persem_ros.inputs.decode.messages import BadMessage, unit_quaternion
+from persem_ros.inputs.decode.messages import BadMessage
+from persem_ros.inputs.decode.pose_messages import unit_quaternion
 
 PATH = 'nav_msgs/msg/Path'
 LINE = 'stamp x y z qx qy qz qw'

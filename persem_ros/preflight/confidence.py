@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.frames import same_aspect
-from persem_ros.inputs.decode import messages
+from persem_ros.inputs.decode import image_messages
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.preflight.findings import Finding, REFUSE, Remedy, WARN
 from persem_ros.preflight.lag import distances
@@ -15,7 +15,7 @@ from persem_ros.preflight.sample import Sample, View
 LABELS, DEPTH = 'confidence', 'depth_confidence'
 SOME = 0.01     # share of values above 1
 READS: dict[str, Callable[[Any], NDArray[Any]]] = {
-    LABELS: messages.confidence, DEPTH: messages.depth_confidence}
+    LABELS: image_messages.confidence, DEPTH: image_messages.depth_confidence}
 OF = {LABELS: 'labels', DEPTH: 'depth'}
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any, TYPE_CHECKING
 
-from persem_ros.inputs.decode import messages
+from persem_ros.inputs.decode import image_messages
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.recording.stamps import stamp_of
 from persem_ros.inputs.recording.topics import (
@@ -128,7 +128,7 @@ def _describe(row: Row, msg: Any) -> None:
 
 def _compressed_size(msg: Any) -> str:
     """Return the size of a compressed image, '' where it cannot be decoded."""
-    read = messages.depth if 'compressedDepth' in msg.format else messages.color
+    read = image_messages.depth if 'compressedDepth' in msg.format else image_messages.color
     try:
         height, width = read(msg).shape[:2]
     except BadMessage:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from persem_ros.inputs.assemble import Assembler, is_cloud
-from persem_ros.inputs.decode import messages
+from persem_ros.inputs.decode import image_messages
 from persem_ros.inputs.decode.camera import check as check_info
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.preflight import axes_fit
@@ -102,7 +102,7 @@ def _disparity(view: View, sample: Sample) -> Iterator[Finding]:
 
 def _of_stereo(view: View) -> bool:
     """Return whether a camera's depth comes as stereo_msgs/DisparityImage."""
-    return any(map(messages.is_disparity, view.firsts.get('depth', ())))
+    return any(map(image_messages.is_disparity, view.firsts.get('depth', ())))
 
 
 def is_cloud_of(view: View) -> bool:
@@ -122,7 +122,7 @@ def _unit(view: View, scale: float) -> float:
     if _of_stereo(view):
         return 1.0
     encoding = getattr(view.firsts['depth'][0], 'encoding', '') or '16UC1'
-    return messages.unit_of(np.dtype(messages.DEPTH.get(encoding, 'u2')), scale)
+    return image_messages.unit_of(np.dtype(image_messages.DEPTH.get(encoding, 'u2')), scale)
 
 
 def _unfitting(view: View, sample: Sample) -> Iterator[Finding]:

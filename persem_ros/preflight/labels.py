@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from persem_ros.frames import MAX_ID
 from persem_ros.inputs import fit
 from persem_ros.inputs.assemble import Assembler, is_cloud, other_camera_sentence
-from persem_ros.inputs.decode import clouds, messages
+from persem_ros.inputs.decode import clouds, image_messages
 from persem_ros.inputs.decode.labels import LabelReader, LEGEND, NEAREST
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.intake import SAME
@@ -105,7 +105,7 @@ def _is_mask(msg: Any) -> bool:
     if is_cloud(msg):
         return False
     try:
-        return set(np.unique(messages.labels(msg)[0]).tolist()) == {0, 255}
+        return set(np.unique(image_messages.labels(msg)[0]).tolist()) == {0, 255}
     except BadMessage:
         return False
 

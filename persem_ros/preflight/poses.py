@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.agreement import misses, WORST
 from persem_ros.core.transforms import inverse
-from persem_ros.inputs.decode import messages
+from persem_ros.inputs.decode import pose_messages
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.sync.poses import NO_MOUNT
 from persem_ros.inputs.sync.track import SLACK, Track
@@ -49,7 +49,7 @@ def _unreadable(view: View) -> Iterator[Finding]:
     fault = None
     for msg in view.firsts.get('pose', ()):
         try:
-            messages.pose(msg)
+            pose_messages.pose(msg)
             return
         except BadMessage as error:
             fault = fault or error

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.inputs import names
 from persem_ros.inputs.assemble import Assembler
-from persem_ros.inputs.decode import messages
+from persem_ros.inputs.decode import messages, pose_messages
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.recording import latched
 from persem_ros.inputs.recording.source import Head, Source, TopicInfo
@@ -82,7 +82,7 @@ def _moves(source: Source, config: Config, camera: str, chosen: Mapping[str, Top
     if len(firsts) < 2:
         return False
     try:
-        _, _, parent, child = messages.pose(firsts[chosen[POSE].name])
+        _, _, parent, child = pose_messages.pose(firsts[chosen[POSE].name])
     except BadMessage:
         return True
     frame = frame_of(config, camera) or messages.frame_id(firsts[image])
@@ -99,7 +99,7 @@ def _trees(source: Source, *topics: Iterable[TopicInfo]) -> dict[str, set[str]]:
         frames = found.setdefault(topic.name.rpartition('/')[0], set())
         for _, kind, _, data in islice(source.messages({topic.name}), TREE):
             with suppress(BadMessage):
-                for _, _, parent, child in messages.transforms(source.decode(data, kind))[0]:
+                for _, _, parent, child in pose_messages.transforms(source.decode(data, kind))[0]:
                     frames |= {parent, child}
     return found
 
@@ -117,9 +117,9 @@ def _read(source: Source, roles: Mapping[str, list[tuple[str, Any]]]) -> None:
                     continue
                 data = data or source.read(head.file, head.place)
                 if role == POSE:
-                    taker.add(*messages.pose(source.decode(data, head.msgtype)))
+                    taker.add(*pose_messages.pose(source.decode(data, head.msgtype)))
                     continue
-                for found in messages.transforms(source.decode(data, head.msgtype))[0]:
+                for found in pose_messages.transforms(source.decode(data, head.msgtype))[0]:
                     taker.add_tf(*found)
             except BadMessage:      # the reading counts them
                 continue

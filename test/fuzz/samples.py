@@ -9,7 +9,8 @@ import core_worlds as cw
 import cv2
 import numpy as np
 from persem_ros.core.refine.job import refine
-from persem_ros.inputs.decode import camera, clouds, legends, messages
+from persem_ros.inputs.decode import (
+    camera, clouds, image_messages as images, legends, messages, pose_messages)
 from persem_ros.inputs.decode.labels import LabelReader
 from persem_ros.inputs.decode.serialized import VISION
 from persem_ros.inputs.trajectory import from_path
@@ -101,22 +102,22 @@ def _camera(msg):
 
 
 READERS = {
-    'sensor_msgs/msg/Image': (messages.labels, messages.depth, messages.color,
-                              messages.confidence, messages.depth_confidence,
+    'sensor_msgs/msg/Image': (images.labels, images.depth, images.color,
+                              images.confidence, images.depth_confidence,
                               lambda msg: LabelReader(Labels())(msg)),
-    'geometry_msgs/msg/PoseStamped': (messages.pose,),
-    'geometry_msgs/msg/TransformStamped': (messages.pose,),
-    'nav_msgs/msg/Odometry': (messages.pose,),
-    'tf2_msgs/msg/TFMessage': (messages.transforms,),
+    'geometry_msgs/msg/PoseStamped': (pose_messages.pose,),
+    'geometry_msgs/msg/TransformStamped': (pose_messages.pose,),
+    'nav_msgs/msg/Odometry': (pose_messages.pose,),
+    'tf2_msgs/msg/TFMessage': (pose_messages.transforms,),
     'sensor_msgs/msg/CameraInfo': (_camera,),
     'sensor_msgs/msg/PointCloud2': (_clouded,),
     'vision_msgs/msg/LabelInfo': (legends.table,),
     'nav_msgs/msg/Path': (lambda msg: from_path(msg, 'map', '/path'),),
-    'px4_msgs/msg/VehicleOdometry': (messages.pose,),
+    'px4_msgs/msg/VehicleOdometry': (pose_messages.pose,),
     'sensor_msgs/msg/NavSatFix': (messages.stamp_ns,),
     'std_msgs/msg/String': (legends.table,)}
 READERS['sensor_msgs/msg/CompressedImage'] = (
-    messages.labels, messages.depth, messages.color, READERS['sensor_msgs/msg/Image'][-1])
+    images.labels, images.depth, images.color, READERS['sensor_msgs/msg/Image'][-1])
 
 
 def serialized():

@@ -12,7 +12,7 @@ from persem_ros.errors import PersemError
 from persem_ros.guard import limits
 from persem_ros.guard.pictures import check_parts, SCANS, TEXTS
 from persem_ros.guard.yaml_text import LEGEND, load, RECORDING, SETTINGS
-from persem_ros.inputs.decode import compressed, legends, messages
+from persem_ros.inputs.decode import compressed, image_messages, legends
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.recording import packing
 import pytest
@@ -88,7 +88,7 @@ BOUNDS = {
         lambda _: compressed.depth('16UC1; compressedDepth rvl', as_image(
             bytes(12) + struct.pack('<II', 60, 60) + bytes(16))),
         '(1000)', '--set inputs.max_pixels=3600'),
-    'pixels of a raw image': (lambda _: messages.labels(raw(60, 60)), '(1000)',
+    'pixels of a raw image': (lambda _: image_messages.labels(raw(60, 60)), '(1000)',
                               '--set inputs.max_pixels=3600'),
     'texts of a PNG': (lambda _: check_parts(memoryview(PNG[:33] + (TEXTS + 1) * (
         struct.pack('>I', 4) + b'zTXta\0\0x' + bytes(4)) + PNG[33:])), '16', 'save it anew'),

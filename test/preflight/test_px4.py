@@ -7,7 +7,7 @@ import bags
 import numpy as np
 from persem_ros.core.transforms import matrix_to_quaternion
 from persem_ros.errors import PersemError
-from persem_ros.inputs.decode import messages, px4
+from persem_ros.inputs.decode import messages, pose_messages, px4
 from persem_ros.inputs.decode.serialized import Decoder
 from persem_ros.inputs.live import LiveIntake
 from persem_ros.inputs.recording.source import Source
@@ -97,7 +97,7 @@ def message(types, at, T, world=TO_NED, frame=None):
 def test_axes_are_those_of_ros(text, world):
     types, at = store(text), 1_700_000_000_123_456_000
     data = types.serialize_cdr(message(types, at, swaying(3), world), px4.TYPE)
-    stamp, T, parent, child = messages.pose(Decoder()(data, px4.TYPE))
+    stamp, T, parent, child = pose_messages.pose(Decoder()(data, px4.TYPE))
     assert stamp == stamp_of(px4.TYPE, data[:64]) == at
     assert np.allclose(T, swaying(3), atol=1e-5)
     assert (parent, child) == ('', 'base_link')
@@ -111,7 +111,7 @@ def test_what_is_no_estimate_is_dropped(text, unknown):
     for T, frame, reason in ((swaying(0), unknown, 'no known frame'), (lost, None, 'no estimate')):
         data = types.serialize_cdr(message(types, 10**15, T, frame=frame), px4.TYPE)
         with pytest.raises(messages.BadMessage) as caught:
-            messages.pose(Decoder()(data, px4.TYPE))
+            pose_messages.pose(Decoder()(data, px4.TYPE))
         assert caught.value.reason == reason
     with pytest.raises(messages.BadMessage):
         Decoder()(data[:40], px4.TYPE)
@@ -151,7 +151,7 @@ def test_frames_are_where_the_camera_was(tmp_path, storage):
 def test_a_time_beyond_all_stamps_is_no_pose():
     late = px4.VehicleOdometry(2 ** 63, 2 ** 63, 'ned', (0.0,) * 3, (1.0, 0.0, 0.0, 0.0))
     with pytest.raises(messages.BadMessage, match='more than stamps can be'):
-        messages.pose(late)
+        pose_messages.pose(late)
     assert stamp_of(px4.TYPE, b'\0\1\0\0' + b'\xff' * 16) is None
 
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import cv2
 import numpy as np
-from persem_ros.inputs.decode import messages
+from persem_ros.inputs.decode import image_messages
 
 HEADER = bytes(12)      # compressedDepth: quantisation that only float images use
 
@@ -54,5 +54,5 @@ def test_what_the_helpers_pack_is_what_the_node_unpacks():
     depth = np.random.default_rng(1).integers(0, 4000, (12, 16)).astype(np.uint16)
     depth[3:5, 2:9] = 0
     for form, data in (png_of(depth), rvl_of(depth)):
-        found = messages.depth(SimpleNamespace(format=form, data=data))
+        found = image_messages.depth(SimpleNamespace(format=form, data=data))
         assert np.array_equal(found, depth / 1000.0)

@@ -91,10 +91,6 @@ class Parameters:
         return {**common_arrays(self), 'theta': self.theta,
                 **dict(zip(('fine', 'coarse', 'shifted'), self.groups))}
 
-    def looks_like(self, z: int, c: int) -> float:
-        """Return theta(z, c) of places of classes."""
-        return float(self.theta[z, c])
-
     def group_share(self, k: int, b: int, prior: float) -> NDArray[np.float64]:
         """Return P_k(z|b) of one group, (K,)."""
         counted = self.groups[k][b]

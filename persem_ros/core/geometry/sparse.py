@@ -114,13 +114,6 @@ class SparseParameters:
                 'fine': self.fine, 'coarse_totals': self.totals[0],
                 'shifted_totals': self.totals[1]}
 
-    def looks_like(self, z: int, c: int) -> float:
-        """Return theta(z, c) of places of classes."""
-        K = len(self.pi)
-        counted = value_of(*self.confusion, z * K + c, 0.0)
-        return float((counted + self.a * (OWN * (z == c) + (1.0 - OWN) * self.f[c]))
-                     / (self.rows[z] + self.a))
-
     def group_share(self, k: int, b: int, prior: float) -> NDArray[np.float64]:
         """Return P_k(z|b) of one group, (K,)."""
         K = len(self.pi)

@@ -52,8 +52,8 @@ def last_time(links, frame_t, head, first, n):
 
 
 @kernel
-def fuse(begin, end, scratch, links, frame_t, start, snapshot_classes, majority, observations,
-         first, head, mode, max_history, decay, beta, n_ids, labels):
+def fuse(begin, end, scratch, links, frame_t, start, majority, observations, first, head, mode,
+         max_history, decay, beta, n_ids, labels):
     """
     Label rows begin .. end of a snapshot by weighted votes of their observations.
 

@@ -379,9 +379,9 @@ def labelled(
     labels, sources = taken.majority[:n].copy(), np.zeros(n, np.uint8)
     if method in fusion.MODES:
         split(_with(fusion.fuse, fusion.VOTES), n, links, taken.frame_t, taken.start,
-              taken.classes, taken.majority, taken.observations, taken.first, taken.head,
-              fusion.MODES[method], memory.max_history, float(settings.lambda_recency),
-              float(settings.beta), n_ids, labels)
+              taken.majority, taken.observations, taken.first, taken.head, fusion.MODES[method],
+              memory.max_history, float(settings.lambda_recency), float(settings.beta), n_ids,
+              labels)
     elif method in selection.METHODS:
         anchor, then = selection.METHODS[method]
         gap = np.exp(-settings.lambda_gap * np.arange(selection.GAPS))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.jit import cached
-from persem_ros.inputs.decode import messages
+from persem_ros.inputs.decode import image_messages
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.settings.config import Labels
 from persem_ros.settings.legend import Legend, load_legend, shipped_legends
@@ -74,7 +74,7 @@ class LabelReader:
             mean.
 
         """
-        planes, encoding = messages.label_planes(msg, self.channel == LEGEND)
+        planes, encoding = image_messages.label_planes(msg, self.channel == LEGEND)
         if planes.ndim == 3:
             ids, encoding = self._of_colors(planes, encoding, legend)
         else:

@@ -9,7 +9,7 @@ import numpy as np
 from persem_ros.core.trajectory import Correction, Trajectory
 from persem_ros.errors import PersemError
 from persem_ros.guard.words import short
-from persem_ros.inputs.decode import messages
+from persem_ros.inputs.decode import messages, pose_messages
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.recording import finding
 from persem_ros.inputs.recording.source import Source
@@ -128,9 +128,9 @@ def _poses(recording: Recording, camera: str) -> PoseBuffer:
         try:
             msg = recording.source.decode(data, kind)
             if 'pose' in chosen and topic == chosen['pose'].name:
-                buffer.add(*messages.pose(msg))
+                buffer.add(*pose_messages.pose(msg))
             else:
-                for found in messages.transforms(msg)[0]:
+                for found in pose_messages.transforms(msg)[0]:
                     buffer.add_tf(*found)
         except BadMessage:
             continue        # a reading counts it

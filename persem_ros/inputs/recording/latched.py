@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.inputs.decode import legends as legend_tables, messages
+from persem_ros.inputs.decode import legends as legend_tables, pose_messages
 from persem_ros.inputs.decode.messages import BadMessage
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def read(source: Source, choice: Choice) -> Latched:
         except BadMessage as fault:
             bad.setdefault(name, f'{name}: a message was not used: {fault}')
             continue
-        good, faults = messages.transforms(msg)
+        good, faults = pose_messages.transforms(msg)
         found.statics += [pose[1:] for pose in good]
         found.sources += [name] * len(good)
         found.faults += [f'{name}: a transform was not used: {fault}' for fault in faults]

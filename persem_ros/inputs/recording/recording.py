@@ -11,7 +11,7 @@ from persem_ros.errors import PersemError
 from persem_ros.guard import limits
 from persem_ros.inputs import names
 from persem_ros.inputs.assemble import Assembler
-from persem_ros.inputs.decode import messages
+from persem_ros.inputs.decode import messages, pose_messages
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.recording import latched
 from persem_ros.inputs.recording.excerpt import Excerpt, WHOLE
@@ -217,7 +217,7 @@ class Recording:
         chosen = self.topics[camera]
         firsts = first_messages(self.source, {chosen['pose'].name}) if 'pose' in chosen else {}
         with suppress(BadMessage):
-            return next((messages.pose(msg)[2] for msg in firsts.values()), '')
+            return next((pose_messages.pose(msg)[2] for msg in firsts.values()), '')
         return ''
 
     def needs_tf(self, camera: str) -> bool:
@@ -243,7 +243,7 @@ class Recording:
         for transform in self.statics_of(camera):
             poses.add_static(*transform)
         try:
-            poses.add(*messages.pose(firsts[chosen['pose'].name]))
+            poses.add(*pose_messages.pose(firsts[chosen['pose'].name]))
         except BadMessage:
             return False
         return not poses.fixed(frame)

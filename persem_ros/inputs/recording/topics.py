@@ -10,7 +10,7 @@ from shlex import quote
 from typing import Any, TYPE_CHECKING
 
 from persem_ros.errors import PersemError
-from persem_ros.inputs.decode import clouds, legends, messages, px4
+from persem_ros.inputs.decode import clouds, image_messages, legends, messages, pose_messages, px4
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.settings.config import Topics, topics_of
 
@@ -115,10 +115,10 @@ class Choice:
         fitting = [t for t in self._topics if t.msgtype in self._types(kind) and t not in taken]
         if kind not in ('labels', 'depth', 'truth'):
             return fitting
-        known = messages.DEPTH if kind == 'depth' else messages.LABELS
+        known = image_messages.DEPTH if kind == 'depth' else image_messages.LABELS
         encodings = self.encodings()
         painted = [t for t in fitting if kind != 'depth' and t.count and NAMED.search(t.name)
-                   and encodings.get(t.name) in messages.COLOR]
+                   and encodings.get(t.name) in image_messages.COLOR]
         fitting = [t for t in fitting if _encodes(encodings.get(t.name, ''), kind, known)] \
             or painted
         if kind != 'depth':     # 16UC1 may be either; nobody calls labels so
@@ -333,7 +333,7 @@ def links(source: Source, names: set[str]) -> Iterator[tuple[str, str]]:
     """Yield (parent, child) of the transforms of some topics, as they are recorded."""
     for _, kind, _, data in source.messages(names):
         with suppress(BadMessage):
-            for _, _, parent, child in messages.transforms(source.decode(data, kind))[0]:
+            for _, _, parent, child in pose_messages.transforms(source.decode(data, kind))[0]:
                 yield parent, child
 
 

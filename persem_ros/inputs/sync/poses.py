@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from persem_ros.core.trajectory import Correction
 from persem_ros.core.transforms import transform
 from persem_ros.errors import PersemError
-from persem_ros.inputs.decode.messages import unit_quaternion
+from persem_ros.inputs.decode.pose_messages import unit_quaternion
 from persem_ros.inputs.sync.track import Lookup, NO_POSE, Track
 from persem_ros.inputs.sync.tree import Tree
 from persem_ros.settings.config import Config, Pose
