@@ -36,12 +36,14 @@ settings.load_profile(os.environ.get('HYPOTHESIS_PROFILE', 'persem'))
 
 # Whole files go to one process each, the longest first, lest one be left for the end.
 LONG = (
-    'mosaic/test_build.py', 'evaluate/test_evaluate_figures.py', 'core/test_refine.py',
-    'simulate/test_simulate.py', 'evaluate/test_evaluate_jobs.py',
-    'replay/test_replay_bad_input.py', 'replay/test_replay.py', 'commands/test_streams.py',
-    'evaluate/test_evaluate.py', 'convert/test_convert_frames.py', 'outputs/test_store.py',
-    'mosaic/test_build_cluster.py', 'evaluate/test_compare.py', 'test_mover.py',
-    'test_night.py', 'replay/test_paged_replay.py', 'core/test_geometry.py')
+    'mosaic/test_build.py', 'core/test_refine.py', 'commands/test_streams.py',
+    'simulate/test_simulate.py', 'evaluate/test_evaluate_figures.py',
+    'replay/test_replay_bad_input.py', 'evaluate/test_evaluate_jobs.py',
+    'mosaic/test_build_cluster.py', 'core/test_geometry.py', 'replay/test_replay.py',
+    'outputs/test_store.py', 'convert/test_convert_frames.py', 'evaluate/test_evaluate.py',
+    'outputs/test_living.py', 'core/test_jobs.py', 'evaluate/test_compare.py',
+    'evaluate/test_sweep.py', 'core/test_dump.py', 'test_mover.py', 'test_night.py',
+    'replay/test_paged_replay.py')
 
 
 def pytest_collection_modifyitems(config, items):

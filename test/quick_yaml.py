@@ -2,8 +2,8 @@
 libyaml in the place of ruamel's Python beneath rosbags: a quarter of the time of replays' tests.
 
 rosbags writes and reads metadata.yaml and QoS profiles by ruamel.yaml, which without its own C
-takes 50 ms of a small recording. outputs/test_recording_writer holds one against the other, and
-processes that tests start have ruamel.
+takes 50 ms of a small recording. outputs/test_recording_writer holds one against the other;
+commands that tests start as processes have ruamel.
 
 """
 

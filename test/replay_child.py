@@ -22,8 +22,10 @@ from persem_ros.outputs import files
 from persem_ros.outputs.map import store
 from persem_ros.outputs.recording import refined, writer
 from persem_ros.outputs.results import rundir
+import quick_yaml
 
 os.fsync = lambda handle: None      # as in conftest.py
+quick_yaml.use(quick_yaml.Yaml)
 
 
 def main():

@@ -17,9 +17,11 @@ import sys
 import tempfile
 
 from persem_ros import cli
+import quick_yaml
 
 OUT, ERRORS = 1, 2
 os.fsync = lambda handle: None      # as in conftest.py
+quick_yaml.use(quick_yaml.Yaml)
 
 
 def main():

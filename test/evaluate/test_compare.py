@@ -7,6 +7,8 @@ from persem_ros.settings.config import Config, updated
 import pytest
 import worlds
 
+METHODS = 'raw2d', 'majority', 'history', 'persem'
+
 
 @pytest.fixture(scope='module')
 def results(tmp_path_factory):
@@ -14,7 +16,7 @@ def results(tmp_path_factory):
     recording = worlds.write(base / 'wall')
     for name, eta in (('a', 0.3), ('b', 0.9)):
         config = updated(Config(), {'refine.eta': eta, 'memory.voxel_size': 0.2})
-        run.evaluate([recording], base / name, config, workers=1, figures=False)
+        run.evaluate([recording], base / name, config, METHODS, workers=1, figures=False)
     return base
 
 
