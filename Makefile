@@ -8,6 +8,8 @@
 # make soak          two hours of flight into an attached map; ARGS="--minutes 10"
 # make bench-scale  persem build by recording, tile and observation; ARGS="--flights 8"
 # make bench-live  the node under load, through real DDS
+# make night        three sessions in one file, RAM for a tenth of it, one killed; ARGS="--frames 150"
+# make night-live   the same, two of the sessions flown live into the node
 # make fuzz         files that mean harm, for MINUTES=30; prints its seed (SEED=n repeats it)
 # make signals      Ctrl-C and SIGTERM at MOMENTS=200 of each command; all of them without streams
 # make docs          the documentation as a site, build/site/index.html; a broken link fails
@@ -23,7 +25,7 @@ RUN := $(VENV)/bin/python
 PEP257 := --ignore=D100,D101,D102,D103,D104,D105,D106,D107,D203,D212,D404 --match='.*\.py'
 
 .DELETE_ON_ERROR:
-.PHONY: test demo bench bench-long bench-scale soak lint test-matrix ros-test bench-live fuzz signals clean docs docs-links
+.PHONY: test demo bench bench-long bench-scale soak night night-live lint test-matrix ros-test bench-live fuzz signals clean docs docs-links
 # A sourced ROS would put its own pytest plugins and messages into our environment.
 unexport PYTHONPATH
 # Each of the many processes that tests start would compile the whole package again.
@@ -64,6 +66,12 @@ ros-test:
 
 bench-live:
 	.ci/bench-live $(ARGS)
+
+night: $(VENV)/installed-test
+	$(RUN) benchmarks/night.py build/night $(ARGS)
+
+night-live:
+	SCRIPT=benchmarks/night.py .ci/bench-live build/night --node $(ARGS)
 
 MINUTES ?= 30
 

@@ -1,11 +1,13 @@
 """
 A night's map in one command: three sessions in one file, one killed, one closing a loop.
 
-Simulates three flights over one town and the fields around, maps them into one attached file,
-from the second on with memory for a tenth of the first, which is some frames' views, kills the
-second replay (SIGKILL) and starts it again, and moves the third session, whose poses drift, by
-the path that closing its loop gave. Prints `persem map info` after each step and draws the map
-from above before and after the move.
+Simulates three flights over one town and the fields around, maps them into one attached file with
+memory for a tenth of the first, which is some frames' views, kills the second (SIGKILL) in its
+midst and goes on, and moves the third, whose poses drift, by the path that closing its loop gave.
+Prints `persem map info` after each step and draws the map from above before and after the move.
+
+All of it are replays; with --node the second and the third flight are flown live, through DDS,
+into the node, which goes on with the file while the flight that it was killed in goes on.
 
 """
 
@@ -20,11 +22,14 @@ import subprocess
 import sys
 import time
 
+import above
 import cv2
+import flown
 import numpy as np
 import persem_ros
 from persem_ros import cli
 from persem_ros.errors import PersemError
+from persem_ros.outputs.map import store
 from persem_ros.outputs.recording.writer import RecordingWriter
 from persem_ros.simulate.flight import Flight, START
 from persem_ros.simulate.path import make_path
@@ -37,7 +42,7 @@ FLIGHTS = {'evening': SURVEY, 'midnight': replace(SURVEY, altitude=70.0),
            'morning': replace(SURVEY, pose_errors=PoseErrors(odometry=0.2))}
 VOXEL = 0.4         # m
 MAPPED = 20.0       # s after which the second session is killed
-CELLS = 600         # of a picture, along its longer side
+FLOWN = 60.0        # the same, where it is flown live
 SHARE = 10          # the bound of memory is so much less than the map of the first session
 
 
@@ -72,12 +77,16 @@ def simulated(folder, frames):
     return [folder / name for name in FLIGHTS]
 
 
+def set_to(path, bound, settings):
+    """Return the settings of a session in the map file, NAME=VALUE; '': without one."""
+    attached = (f'map.path={path}', 'map.attached=true') if path else ()
+    return (*attached, f'memory.max_voxels={bound}', 'memory.dynamic_labels=[10]', *settings)
+
+
 def replayed(recording, out, path, bound, settings=()):
     """Return the words of the replay that adds a recording to the map file."""
-    values = (f'map.path={path}', 'map.attached=true', f'memory.max_voxels={bound}',
-              'memory.dynamic_labels=[10]', *settings)
     return ['replay', recording, '--out', out, '--methods', 'majority',
-            *(word for value in values for word in ('--set', value))]
+            *(word for value in set_to(path, bound, settings) for word in ('--set', value))]
 
 
 def killed(words, out, after):
@@ -91,76 +100,117 @@ def killed(words, out, after):
     return process.wait()
 
 
-def from_above(path):
-    """Return a picture of a map file: of each column of voxels the topmost; and its corners."""
-    found = persem_ros.open_map(path)
-    columns, colors = found.columns(), found.legend.colors
-    at = columns['voxel'].astype(np.int64)
-    low, high = (np.quantile(at[:, :2], q, axis=0, method='nearest') for q in (0.001, 0.999))
-    return at, colors(columns['label']), low, high
+def counted(recording, out, settings, replay):
+    """Return how many voxels a recording has, mapped by itself, and its labels by voxel."""
+    replay(*replayed(recording, out, '', 0, settings))
+    return labels_of(out / 'map.persem')
 
 
-def drawn(maps, corners):
-    """Return pictures of maps side by side, between the same corners, (H, W, 3) uint8."""
-    low, high = corners
-    scale = int(-(-(high - low + 1).max() // CELLS))
-    width, height = ((high - low) // scale + 1).tolist()
-    pictures = []
-    for title, (at, rgb, *_) in maps.items():
-        picture = np.full((height, width, 3), 255, np.uint8)
-        inside = np.flatnonzero(((at[:, :2] >= low) & (at[:, :2] <= high)).all(axis=1))
-        inside = inside[np.argsort(at[inside, 2], kind='stable')]       # the topmost comes last
-        cell = (at[inside, :2] - low) // scale
-        picture[height - 1 - cell[:, 1], cell[:, 0]] = rgb[inside][:, ::-1]
-        strip = np.full((24, width, 3), 255, np.uint8)
-        cv2.putText(strip, title, (4, 17), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0, 0, 0), 1,
-                    cv2.LINE_AA)
-        pictures.append(np.concatenate([strip, picture]))
-    gap = np.full((height + 24, 8, 3), 255, np.uint8)
-    return np.concatenate([pictures[0], *(part for one in pictures[1:] for part in (gap, one))],
-                          axis=1)
+def labels_of(path):
+    """Return the bytes of voxels and labels of a map file, and how many there are."""
+    columns = persem_ros.open_map(path).columns()
+    return columns['voxel'].tobytes() + columns['label'].tobytes(), len(columns['label'])
 
 
-def night(recordings, trajectory, out, settings=(), replay=persem, after=0.2):
+class Replays:
+    """
+    Sessions by `persem replay`: whole or not at all.
+
+    Parameters
+    ----------
+    replay : callable
+        replay(*words) runs a command.
+    after : float
+        Seconds from its beginning to the end of the replay that is killed.
+
+    """
+
+    def __init__(self, replay, after):
+        self._replay, self._after = replay, after
+
+    def session(self, recording, folder, path, bound, settings):
+        """Add a recording; print what it took."""
+        self._replay(*replayed(recording, folder, path, bound, settings), '--force')
+        timing = json.loads((folder / 'timing.json').read_text('utf-8'))
+        print(f'{folder.name}: {timing["frames"]} frames, {timing["total_s"]:.0f} s, peak '
+              f'{timing["memory"]["peak_rss_bytes"] / 1e6:.0f} MB')
+
+    def killed(self, recording, folder, path, bound, settings, step):
+        """Add a recording in two attempts, the first of which is killed, then call step()."""
+        status = killed(replayed(recording, folder, path, bound, settings), folder, self._after)
+        print(f'the second session ended with status {status}')
+        step()
+        self.session(recording, folder, path, bound, settings)
+
+
+class Flights(Replays):
+    """
+    Sessions that the node maps live; what it had not written when it was killed is lost.
+
+    Parameters
+    ----------
+    after : float
+        Seconds from its first answer to the end of the node that is killed.
+    rate : float
+        Seconds of the flight a second.
+
+    """
+
+    def __init__(self, after, rate):
+        self._after, self._rate = after, rate
+
+    def session(self, recording, folder, path, bound, settings, **kill):
+        """Fly a recording; print what it took."""
+        begin = time.monotonic()
+        used = flown.flown(recording, set_to(path, bound, settings), folder, self._rate, **kill)
+        print(f'{folder.name}: flown in {time.monotonic() - begin:.0f} s, peak {used:.0f} MB')
+
+    def killed(self, recording, folder, path, bound, settings, step):
+        """Fly a recording; the node is killed in the midst, step() called, the node restarted."""
+        def ended(status, answered):
+            written = store.head(path).stored.saved.frames.stamp[-1]
+            print(f'the node ended with status {status}; it had answered frames up to '
+                  f'{(answered - START) / 1e9:.1f} s of the flight, the file has them up to '
+                  f'{(written - START) / 1e9:.1f} s: '
+                  f'{(answered - written) / 1e9:.1f} s of the flight are lost')
+            step()
+        self.session(recording, folder, path, bound, settings, after=self._after, killed=ended)
+
+
+def night(recordings, trajectory, out, settings=(), replay=persem, by=None, after=0.2):
     """
     Map three recordings as a night goes; return what `persem map info` says at each step.
 
-    replay(*words) runs a command; *after* seconds the second session is killed.
+    replay(*words) runs a command; *by* are the Replays or Flights of all sessions but the first;
+    *after* seconds the second session is killed, where it is replayed.
 
     """
     out.mkdir(parents=True, exist_ok=True)
-    path, steps, bound = out / 'night.persem', {}, 0
+    path, steps, replays = out / 'night.persem', {}, Replays(replay, after)
+    by = by or replays
 
     def step(title):
         steps[title] = persem('map', 'info', path)
-        print(f'--- {title}\n{steps[title]}')
+        print(f'--- {title}\n{steps[title]}', flush=True)
 
-    def rss(name):
-        timing = json.loads((out / name / 'timing.json').read_text('utf-8'))
-        print(f'{name}: {timing["frames"]} frames, {timing["total_s"]:.0f} s, peak '
-              f'{timing["memory"]["peak_rss_bytes"] / 1e6:.0f} MB')
-
-    replay(*replayed(recordings[0], out / 'first', path, bound, settings))
-    rss('first')
+    alone, n = counted(recordings[0], out / 'alone', settings, replay)
+    bound = n // SHARE
+    print(f'the first session has {n} voxels: memory.max_voxels is {bound} for all of them')
+    replays.session(recordings[0], out / 'first', path, bound, settings)
+    same = 'the same' if labels_of(path) == (alone, n) else 'OTHER'
+    print(f'{same} voxels and labels as without a bound')
     step('after the first session')
-    bound = len(persem_ros.open_map(path)) // SHARE
-    print(f'from now on memory.max_voxels is {bound}')
-    words = replayed(recordings[1], out / 'second', path, bound, settings)
-    status = killed(words, out / 'second', after)
-    print(f'the second session ended with status {status}')
-    step('after the kill')
-    replay(*words, '--force')
-    rss('second')
-    step('after the second session, again')
-    replay(*replayed(recordings[2], out / 'third', path, bound, settings))
-    rss('third')
+    by.killed(recordings[1], out / 'second', path, bound, settings,
+              lambda: step('after the kill'))
+    step('after the second session')
+    by.session(recordings[2], out / 'third', path, bound, settings)
     step('after the third session')
-    before = from_above(path)
-    print(persem('map', 'move', path, '--trajectory', trajectory, '--session', '2'))
+    before, third = above.of(path), store.head(path).stored.saved.session
+    print(persem('map', 'move', path, '--trajectory', trajectory, '--session', third))
     step('after its loop was closed')
-    after = from_above(path)
+    after = above.of(path)
     cv2.imwrite(str(out / 'night.png'),
-                drawn({'before the loop was closed': before, 'after': after}, after[2:]))
+                above.drawn({'before the loop was closed': before, 'after': after}, after[2:]))
     return steps
 
 
@@ -169,11 +219,22 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
     parser.add_argument('out', type=Path, help='folder of night.persem and night.png')
     parser.add_argument('--frames', type=int, default=700, help='of each simulated flight')
+    parser.add_argument('--node', action='store_true',
+                        help='fly the second and the third live, into the node (make night-live)')
+    parser.add_argument('--rate', type=float, default=1.0, help='of the live flights')
+    parser.add_argument('--after', type=float, help='seconds after which the second is killed')
     args = parser.parse_args()
+    if args.node:
+        flown.check()
     args.out.mkdir(parents=True, exist_ok=True)
     recordings = simulated(args.out, args.frames)
-    night(recordings, recordings[2], args.out, (f'memory.voxel_size={VOXEL}',), apart, MAPPED)
+    by = Flights(args.after or FLOWN, args.rate) if args.node else None
+    night(recordings, recordings[2], args.out, (f'memory.voxel_size={VOXEL}',), apart, by,
+          args.after or MAPPED)
 
 
 if __name__ == '__main__':
-    main()
+    try:
+        main()
+    except PersemError as error:
+        sys.exit(f'night.py: {error}')

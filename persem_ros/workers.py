@@ -210,7 +210,16 @@ def _start_worker(done: Any) -> None:
     _done = done
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    threading.Thread(target=_leave_with_parent, daemon=True).start()
     one_thread()
+
+
+def _leave_with_parent() -> None:
+    """End this process when its parent is gone, even by SIGKILL: nobody else would tell it."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os.kill(os.getpid(), signal.SIGTERM)
 
 
 def _tick() -> None:

@@ -103,7 +103,8 @@ class Services:
                 worker.refiner.held = True
                 while worker.refiner.busy:
                     time.sleep(0.01)
-                steps = refine_all(worker.memory, worker.config.refine)
+                steps = refine_all(worker.memory, worker.config.refine,
+                                   worker.config.memory.max_voxels, saves=False)
                 while (step := worker.call(next, steps, None).result()) is not None:
                     visited += step
                     self._wait_for_room()
@@ -115,9 +116,9 @@ class Services:
         return f'refined {visited} voxels in {time.monotonic() - begun:.3f} s'
 
     def _wait_for_room(self) -> None:
-        """Let a checkpoint make room where memory is crowded and the disk keeps up."""
+        """Have what was labelled written where memory is crowded, so that it can leave."""
         worker, bound = self._worker, self._worker.config.memory.max_voxels
-        while 0 < 1.2 * bound < worker.memory.n_voxels and not worker.checkpoints.failing:
+        if 0 < 1.2 * bound < worker.memory.n_voxels and not worker.checkpoints.failing:
             worker.call(worker.checkpoints.ask).result().result()
 
     def _captured(self) -> tuple[MemoryDump, VoxelMemory, int]:

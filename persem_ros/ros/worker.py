@@ -374,7 +374,8 @@ class Worker(threading.Thread):
     def _forget_far(self) -> None:
         """Keep the map within memory.keep_radius and memory.max_voxels, between refinements."""
         bounds = self.config.memory
-        if self.refiner.busy or not self.memory.frames or \
+        # What ~/refine visits in an attached map is far away, and leaves when it was visited.
+        if self.refiner.busy or self.refiner.held or not self.memory.frames or \
                 not (bounds.max_voxels or bounds.keep_radius) or \
                 time.monotonic() - self._trimmed < TRIM:
             return

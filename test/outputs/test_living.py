@@ -183,6 +183,27 @@ def test_a_full_refinement_reads_each_block_once_where_rows_fit(tmp_path, monkey
     living.close()
 
 
+def test_a_refinement_that_somebody_else_saves_lets_go_of_what_he_has(tmp_path, monkeypatch):
+    living, pager = opened(tmp_path / 'map.persem')
+    seen, sizes = flight(6, 12), []
+    for one in seen:
+        pager.need_voxels(one.voxels)
+        pager.memory.add(one)
+    pager.save()
+    saves, steps = [], refine_all(pager.memory, SETTINGS, 60, 2, saves=False)
+    monkeypatch.setattr(pager, 'save', lambda: saves.append(1))
+    whole, visited = pager.memory.n_voxels, next(steps)
+    for n in steps:
+        visited += n
+        sizes.append(pager.memory.n_voxels)
+        checkpoint = pager.checkpoint()     # what a node does when memory is crowded
+        checkpoint.capture.step(np.inf)
+        checkpoint.write()
+        checkpoint.end()
+    assert visited == whole and min(sizes) < whole and not saves
+    living.close()
+
+
 def at(frames):
     """Return what a map holds after some frames, without refinement."""
     memory = VoxelMemory(0.5)

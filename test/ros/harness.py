@@ -263,9 +263,9 @@ class Player:
                      for topic, kind in kinds.items()}
         time.sleep(0.3)     # that a writer knows its reader does not mean that this knows it
 
-    def play(self):
-        """Publish everything, as fast as a reliable connection takes it."""
-        for topic, _, _, data in self.messages:
+    def play(self, messages=None):
+        """Publish everything, or some messages, as fast as a reliable connection takes it."""
+        for topic, _, _, data in self.messages if messages is None else messages:
             self._out[topic].publish(data)
 
 

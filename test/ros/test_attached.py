@@ -54,6 +54,23 @@ def test_a_killed_node_leaves_the_map_and_the_next_one_goes_on(ros, tmp_path):
     assert sorted(p.name for p in tmp_path.glob('*map.persem*')) == ['map.persem']
 
 
+def test_nodes_killed_in_the_midst_of_a_flight_lose_what_came_last(ros, tmp_path):
+    path, bag, before = tmp_path / 'map.persem', bags.write(tmp_path / 'bag', 4 * FRAMES), 0
+    for _ in range(3):
+        mapper = ros.mapper(attached(path, memory__max_voxels=200, refine__period=0.2)).ready()
+        player = Player(ros.client, bag)
+        n = len(player.messages) // 2
+        player.play(player.messages[:n])
+        mapper.frames(2 * FRAMES - 1)       # the last one may wait for a pose
+        until(lambda: frames_in(path) >= before + 2 * FRAMES - 1, 'a checkpoint', timeout=10.0)
+        player.play(player.messages[n:])
+        mapper.kill()
+        after = frames_in(path)             # whole, with all that was written
+        assert before + 2 * FRAMES - 1 <= after <= before + 4 * FRAMES
+        before = after
+    assert ros.mapper(attached(path)).ready().stop() == 0 and frames_in(path) == before
+
+
 def test_a_reset_moves_the_file_aside(ros, tmp_path):
     path = tmp_path / 'map.persem'
     mapper = ros.mapper(attached(path)).ready()

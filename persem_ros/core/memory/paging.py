@@ -148,8 +148,8 @@ class Pager:
         here = blocks['index'][:n][blocks['near'][:n, 13] > 0]
         return np.unique(np.concatenate([here, self.backing.index()]), axis=0)
 
-    def visit(self, index: NDArray[np.int32], at_once: int,
-              max_voxels: int) -> Iterator[NDArray[np.int64]]:
+    def visit(self, index: NDArray[np.int32], at_once: int, max_voxels: int,
+              saves: bool = True) -> Iterator[NDArray[np.int64]]:
         """
         Yield the numbers of blocks with all around them in memory, some at a time.
 
@@ -161,6 +161,8 @@ class Pager:
             How many at a time.
         max_voxels : int
             The bound of memory, between two steps; 0: none.
+        saves : bool
+            Bring the store up to date where that makes room; False: somebody else does so.
 
         """
         memory = self.memory
@@ -172,7 +174,7 @@ class Pager:
             self.need_around(numbers)
             yield numbers
             if 0 < max_voxels < memory.n_voxels:
-                if self.dirty_voxels:
+                if saves and self.dirty_voxels:
                     self.save()
                 here = part[-1] * SIDE * memory.voxel_size + memory.origin
                 self.let_go(here + AHEAD, max_voxels)   # what was visited, the first first

@@ -34,7 +34,7 @@ class Fitting:
         up and geometry.
     index : ndarray, shape (n, 3), int32
         All blocks.
-    at_once, max_voxels : int
+    at_once, max_voxels, saves : int, int, bool
         As of Pager.visit.
 
     Attributes
@@ -45,9 +45,9 @@ class Fitting:
     """
 
     def __init__(self, memory: Any, settings: Any, index: NDArray[np.int32], at_once: int,
-                 max_voxels: int) -> None:
+                 max_voxels: int, saves: bool = True) -> None:
         self._memory, self._settings, self._index = memory, settings, index
-        self._at_once, self._max_voxels = at_once, max_voxels
+        self._at_once, self._how = at_once, (at_once, max_voxels, saves)
         self._beside = bool(np.count_nonzero(memory.seen_ids) > MOST_DENSE)
         self._kept: list[Any] = []      # of each step the looks, later the model; None: not kept
         self.columns: Optional[Columns] = None
@@ -101,7 +101,7 @@ class Fitting:
                 yield kept
                 continue
             part = self._index[k * self._at_once:(k + 1) * self._at_once]
-            for numbers in self._memory.pager.visit(part, self._at_once, self._max_voxels):
+            for numbers in self._memory.pager.visit(part, *self._how):
                 looks = self._look(numbers)
                 yield None if looks is None else self._model(looks, whole)
 
@@ -110,7 +110,7 @@ class Fitting:
         return model_of(looks, self.columns, whole.classes, self._settings.geometry)
 
     def _steps(self) -> Any:
-        return self._memory.pager.visit(self._index, self._at_once, self._max_voxels)
+        return self._memory.pager.visit(self._index, *self._how)
 
     def _look(self, numbers: NDArray[np.int64]) -> Optional[Looks]:
         """Return the Looks of blocks, None where nothing is there."""

@@ -172,7 +172,7 @@ def blocks_at_once(memory: VoxelMemory, max_voxels: int) -> int:
 
 
 def refine_all(memory: VoxelMemory, settings: Refine, max_voxels: int = 0,
-               at_once: int = AT_ONCE) -> Iterator[int]:
+               at_once: int = AT_ONCE, saves: bool = True) -> Iterator[int]:
     """
     Refine a map of which a store holds the rest, block after block with all around them.
 
@@ -188,6 +188,8 @@ def refine_all(memory: VoxelMemory, settings: Refine, max_voxels: int = 0,
         The bound of memory, between two steps; 0: none.
     at_once : int
         Blocks of a step; labels do not depend on it.
+    saves : bool
+        As of core.memory.paging.Pager.visit.
 
     Yields
     ------
@@ -198,7 +200,7 @@ def refine_all(memory: VoxelMemory, settings: Refine, max_voxels: int = 0,
     pager: Any = memory.pager
     index, known, columns = pager.index(), None, None
     if settings.method == 'geometry':
-        fitting = Fitting(memory, settings, index, at_once, max_voxels)
+        fitting = Fitting(memory, settings, index, at_once, max_voxels, saves)
         known = yield from fitting.parameters()
         pager.columns = columns = fitting.columns
     _take_rho(memory)
@@ -208,7 +210,7 @@ def refine_all(memory: VoxelMemory, settings: Refine, max_voxels: int = 0,
     if known is not None:
         memory.fitted_by, memory.known_ids = fitted_by(settings), memory.voted_ids.copy()
     arrays = {} if known is None else known.arrays()
-    for numbers in pager.visit(index, at_once, max_voxels):
+    for numbers in pager.visit(index, at_once, max_voxels, saves):
         _settle_blocks(memory, numbers)
         here = None
         if columns is None:
