@@ -9,7 +9,7 @@ import numpy as np
 from persem_ros.core import jit
 from persem_ros.core.geometry.account import account
 from persem_ros.core.geometry.ground import (
-    NONE, TILE, tiles_around, tiles_of, windowed_minimum)
+    ground_of, level_of, NONE, TILE, tiles_around, tiles_of, windowed_minimum)
 from persem_ros.core.geometry.kept import sound
 from persem_ros.core.geometry.labelling import label_rows
 from persem_ros.core.geometry.method import places_of, relabel
@@ -157,9 +157,13 @@ def test_the_least_of_a_window_of_columns(seed, window, spread):
     grid = np.full((len(tiles), TILE), NONE, np.int32)
     place = (columns[:, 0] & 7) * 8 + (columns[:, 1] & 7)
     grid[tile, place] = values
-    found = windowed_minimum(tiles_around(tiles, window), grid, window)[tile, place]
+    wanted = np.flatnonzero(rng.random(len(tiles)) < rng.choice([0.3, 1.1]))
+    found = windowed_minimum(tiles_around(tiles, window), grid, window, wanted)[tile, place]
+    asked = np.isin(tile, wanted)
     near = np.abs(columns[:, None] - columns[None]).max(axis=2) <= window
-    assert found.tolist() == [values[row].min() for row in near]
+    assert found[asked].tolist() == [values[row].min() for row in near[asked]]
+    whole = ground_of(tiles, grid, window).level
+    assert (level_of(tiles, grid, window, wanted) == whole[wanted]).all()
 
 
 @given(flights(), UPS)

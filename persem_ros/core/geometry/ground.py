@@ -48,11 +48,19 @@ def tiles_of(blocks: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.i
 
 def ground_of(tiles: NDArray[np.int32], lowest: NDArray[np.int32], window: int) -> Ground:
     """Return the Ground over *tiles* whose columns' lowest voxels are *lowest* (T, 64)."""
+    return Ground(tiles, lowest, level_of(tiles, lowest, window, np.arange(len(tiles))))
+
+
+def level_of(tiles: NDArray[np.int32], lowest: NDArray[np.int32], window: int,
+             wanted: NDArray[np.int64]) -> NDArray[np.int32]:
+    """Return the ground's k (n, 64) in the columns of sorted tiles[wanted]; as ground_of()."""
     around = tiles_around(tiles, window)
-    eroded = windowed_minimum(around, lowest, window)
-    hidden = lowest == NONE
-    level = -windowed_minimum(around, np.where(hidden, NONE, -eroded), window)
-    return Ground(tiles, lowest, np.where(hidden, NONE, level))
+    near = around.reached(wanted)
+    eroded = windowed_minimum(around, lowest, window, near)[near]
+    values = np.full_like(lowest, NONE)
+    values[near] = np.where(lowest[near] == NONE, NONE, -eroded)
+    level = -windowed_minimum(around, values, window, wanted)[wanted]
+    return np.where(lowest[wanted] == NONE, NONE, level)
 
 
 class Around(NamedTuple):
@@ -71,22 +79,39 @@ class Around(NamedTuple):
     along_j: NDArray[np.int64]
     along_i: NDArray[np.int64]
 
+    def beside(self, tiles: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the places, among the W, of what lies along i of some of the T tiles."""
+        return _places(self.along_i[tiles], len(self.along_j))
+
+    def reached(self, tiles: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return which of the T tiles lie within the window of some of them."""
+        return _places(self.along_j[self.beside(tiles)], len(self.along_i))
+
 
 def tiles_around(tiles: NDArray[np.int32], window: int) -> Around:
     """Return the Around of sorted tiles (T, 2)."""
     reach = -(-window // SIDE)
-    beside, steps = keys_of(tiles), list(range(-reach, reach + 1))
-    wide = np.unique(np.concatenate([beside + d for d in steps]))
-    return Around(_near(wide, beside, steps), _near(beside, wide, [d << 32 for d in steps]))
+    keys, steps = keys_of(tiles), np.arange(-reach, reach + 1)
+    wide = np.empty(len(steps) * len(keys), np.int64)
+    wide = wide[:widen(keys, reach, wide)]
+    along_j, along_i = (np.empty((n, len(steps)), np.int64) for n in (len(wide), len(keys)))
+    find_along(wide, keys, steps, along_j)
+    find_along(keys, wide, steps << 32, along_i)
+    return Around(along_j, along_i)
 
 
-def windowed_minimum(around: Around, values: NDArray[np.int32],
-                     window: int) -> NDArray[np.int32]:
-    """Return the least value (T, 64) within *window* columns along i and j; NONE counts not."""
-    between = np.empty((len(around.along_j), TILE), np.int32)
-    split(slide, len(between), around.along_j, values, window, 1, SIDE, between, grain=256)
+def windowed_minimum(around: Around, values: NDArray[np.int32], window: int,
+                     wanted: NDArray[np.int64]) -> NDArray[np.int32]:
+    """
+    Return the least value (T, 64) within *window* columns along i and j; NONE counts not.
+
+    Only the rows *wanted* are written.
+
+    """
+    rows, between = around.beside(wanted), np.empty((len(around.along_j), TILE), np.int32)
+    split(slide, len(rows), rows, around.along_j, values, window, 1, SIDE, between, grain=256)
     result = np.empty((len(around.along_i), TILE), np.int32)
-    split(slide, len(result), around.along_i, between, window, SIDE, 1, result, grain=256)
+    split(slide, len(wanted), wanted, around.along_i, between, window, SIDE, 1, result, grain=256)
     return result
 
 
@@ -100,21 +125,41 @@ def _unpacked(keys: NDArray[np.int64]) -> NDArray[np.int32]:
     return np.stack([keys >> 32, (keys & 0xFFFFFFFF) - (1 << 31)], axis=1).astype(np.int32)
 
 
-def _near(keys: NDArray[np.int64], among: NDArray[np.int64],
-          steps: list[int]) -> NDArray[np.int64]:
-    """Return the places (n, len(steps)) in *among* of keys + step, -1 where there is none."""
-    found = np.empty((len(keys), len(steps)), np.int64)
-    for column, step in enumerate(steps):
-        wanted = keys + step
-        place = np.minimum(np.searchsorted(among, wanted), len(among) - 1)
-        found[:, column] = np.where(among[place] == wanted, place, -1)
-    return found
+def _places(near: NDArray[np.int64], n: int) -> NDArray[np.int64]:
+    """Return the distinct places below n among some, -1 left out."""
+    found = np.zeros(n + 1, bool)
+    found[near.reshape(-1)] = True
+    return np.flatnonzero(found[:-1])
 
 
 @kernel
-def slide(begin, end, near, values, window, stride, across, out):
+def widen(keys, reach, wide):
+    """Write ascending keys and all within *reach* of them, each once; return how many."""
+    n, last = 0, np.int64(-1 << 62)
+    for key in keys:
+        for beside in range(max(key - reach, last + 1), key + reach + 1):
+            wide[n] = beside
+            n += 1
+        last = max(last, key + reach)
+    return n
+
+
+@kernel
+def find_along(keys, among, steps, found):
+    """Write the places in *among* of keys + steps, both ascending; -1 where there is none."""
+    for s in range(len(steps)):
+        place = 0
+        for n in range(len(keys)):
+            wanted = keys[n] + steps[s]
+            while place < len(among) and among[place] < wanted:
+                place += 1
+            found[n, s] = place if place < len(among) and among[place] == wanted else -1
+
+
+@kernel
+def slide(begin, end, rows, near, values, window, stride, across, out):
     """
-    Write the least value within *window* columns along one axis, for tiles begin .. end.
+    Write the least value within *window* columns along one axis, for tiles rows[begin:end].
 
     near (n, 2 reach + 1) are the places in *values* of a tile's neighbours along the axis;
     stride is the distance of columns along it, across that of its lines.
@@ -123,7 +168,8 @@ def slide(begin, end, near, values, window, stride, across, out):
     parts = near.shape[1]
     middle = parts // 2 * SIDE
     line = np.empty(parts * SIDE, np.int32)
-    for tile in range(begin, end):
+    for w in range(begin, end):
+        tile = rows[w]
         for a in range(SIDE):
             for part in range(parts):
                 other = near[tile, part]

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.geometry.ground import Ground, ground_of, keys_of, NONE, TILE
+from persem_ros.core.geometry.ground import Ground, keys_of, level_of, NONE, TILE
 from persem_ros.core.geometry.upright import Up, upright
 from persem_ros.core.jit import kernel, split
 from persem_ros.core.memory.pools import ROWS, SIDE, sparse_zeros
@@ -152,8 +152,8 @@ class Relief:
         if not len(changed):
             return changed, np.empty((0, TILE), bool)
         part, wide, inner = self._around(changed, 4 * reach, 2 * reach)
-        part, inner = part[wide], inner[wide]       # ground_of wants them sorted, as they are
-        found = ground_of(tiles[part], lowest[part], self.window).level[inner]
+        part, inner = part[wide], inner[wide]       # level_of wants them sorted, as they are
+        found = level_of(tiles[part], lowest[part], self.window, np.flatnonzero(inner))
         part = part[inner]
         other = found != level[part]
         some = other.any(axis=1)
