@@ -37,6 +37,7 @@ from persem_ros.preflight.look import opened
 from persem_ros.rendering import Renderer
 from persem_ros.settings import config_file
 from persem_ros.settings.config import Config, IMAGE_METHODS, METHODS, nearest
+from persem_ros.settings.heights import hinted
 from persem_ros.settings.legend import Legend
 
 if TYPE_CHECKING:
@@ -326,6 +327,7 @@ def replay(path: Path | str | Sequence[Path | str], out: Path | str, config: Con
         inputs = [part for given in paths for part in finding.split(given)]
         watchers = [*watchers, *([ReportWatcher()] if report else [])]
         legend = chosen_legend(config, recording)
+        config = hinted(config, legend)
         mapped = None if pages(config, methods, watchers, causal) else start_map(config, legend)
         with rundir.building(out, force, keep=(*inputs, config.map.path)) as folder:
             with closing(mapped or Paged(folder, config, legend)) as mapped:

@@ -22,8 +22,8 @@ MOST_DENSE = 64
 CANDIDATES = 16
 
 Constants = namedtuple(     # what refine.geometry.* holds
-    'Constants', 'directions window cell weight smoothing prior shrink rounds groups',
-    defaults=(8, 20, 32, 0.5, 6.0, 60.0, 0.1, 3, 'both'))
+    'Constants', 'directions window cell weight smoothing prior shrink rounds groups heights',
+    defaults=(8, 20, 32, 0.5, 6.0, 60.0, 0.1, 3, 'both', ''))
 Parameters = namedtuple('Parameters', 'pi theta counts ratios rho')
 Result = namedtuple('Result', 'voxels classes labels posterior parameters shape')
 
@@ -145,18 +145,29 @@ def looks(N, rho):
     return N / (1 + rho * np.maximum(N - 1, 0))
 
 
-def score(parameters, p, n, groups, allowed, constants, neighbours=None):
+def hinted(heights, shapes, classes):
+    """Return 0.01 where heights 'c low high; ...' rule a class out for a b1, else 1: (b, K)."""
+    edges, factor = [-np.inf, *HEIGHTS, np.inf], np.ones((len(shapes), len(classes)))
+    for c, low, high in (part.split() for part in heights.split(';') if part.strip()):
+        for b, b1 in enumerate(shapes):
+            below, above = edges[b1 // 12], edges[b1 // 12 + 1]     # height in [below, above)
+            if int(c) in classes and (below > float(high) or above <= float(low)):
+                factor[b, classes.index(int(c))] = 0.01
+    return factor
+
+
+def score(parameters, p, n, groups, allowed, constants, hint, neighbours=None):
     """
     Return Q (n, K): the softmax of the scores.
 
     allowed (n, K) says which classes are candidates; neighbours is (n, K), the mean of the
-    neighbours' Q, 0 without any.
+    neighbours' Q, 0 without any; hint (groups by shape, K) is hinted().
 
     """
     likelihood, log_theta = np.zeros_like(p), np.log(parameters.theta + 1e-6)
     for c in range(p.shape[1]):
         likelihood += p[:, c, None] * log_theta[None, :, c]
-    shape = np.zeros_like(p)
+    shape = np.log(hint)[groups[0]]
     for k, (ratio, group) in enumerate(zip(parameters.ratios, groups)):
         if constants.groups in ('both', 'cells' if k else 'shapes'):
             shape += np.log(ratio / parameters.pi)[group]
@@ -192,7 +203,7 @@ def neighbour_mean(Q, near):
     return mean
 
 
-def candidates(p, near, parameters, group, dense):
+def candidates(p, near, parameters, group, dense, hint):
     """Return (n, K): the classes that a voxel may be given."""
     n, K = p.shape
     if K <= dense:
@@ -202,7 +213,7 @@ def candidates(p, near, parameters, group, dense):
     for r, rows in enumerate(near):
         for u in rows:
             allowed[r] |= seen[u]
-    most = np.argsort(-parameters.ratios[0], axis=1, kind='stable')[:, :CANDIDATES]
+    most = np.argsort(-parameters.ratios[0] * hint, axis=1, kind='stable')[:, :CANDIDATES]
     for r in range(n):
         allowed[r, most[group[r]]] = True
     return allowed
@@ -298,21 +309,22 @@ def geometry(histories, voxel_size, origin=(0.0, 0.0, 0.0), up='z', max_history=
     shape = shapes(voxels, constants.window, constants.cell)
     groups, sizes = numbered(shape[3])
     near = around(np.array(names))
+    hint = hinted(constants.heights, dict.fromkeys(g[0] for g in shape[3]), classes)
 
     Q, rho = p, 0.4
     parameters = estimate(Q, p, looks(N, rho), groups, sizes, rho, constants, everything=True)
     for number in range(constants.rounds):
         n = looks(N, rho)
-        allowed = candidates(p, near, parameters, groups[0], dense)
-        Q = score(parameters, p, n, groups, allowed, constants)
+        allowed = candidates(p, near, parameters, groups[0], dense, hint)
+        Q = score(parameters, p, n, groups, allowed, constants, hint)
         parameters = estimate(Q, p, n, groups, sizes, rho, constants)
         if number == 0:
             rho = correlation(Q, parameters.counts, counts, N >= 2, rho)
     n = looks(N, rho)
     parameters = parameters._replace(rho=rho)
-    allowed = candidates(p, near, parameters, groups[0], dense)
-    Q = score(parameters, p, n, groups, allowed, constants)
+    allowed = candidates(p, near, parameters, groups[0], dense, hint)
+    Q = score(parameters, p, n, groups, allowed, constants, hint)
     for _ in range(2):
-        Q = score(parameters, p, n, groups, allowed, constants, neighbour_mean(Q, near))
+        Q = score(parameters, p, n, groups, allowed, constants, hint, neighbour_mean(Q, near))
     labels = [classes[int(np.flatnonzero(row.max() - row <= TIE)[0])] for row in Q]
     return Result(names, classes, np.array(labels), Q, parameters, shape)

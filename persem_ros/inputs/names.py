@@ -2,6 +2,7 @@
 
 from bisect import bisect_right
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -188,4 +189,4 @@ def _stamp(known: _Known) -> int:
 
 
 def _numbered(item: LegendClass, number: int) -> LegendClass:
-    return LegendClass(number, item.name, item.color, item.group, item.ignored, item.dynamic)
+    return replace(item, id=number)

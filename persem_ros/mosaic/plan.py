@@ -21,6 +21,7 @@ from persem_ros.preflight.look import opened
 from persem_ros.replay import chosen_legend
 from persem_ros.settings import config_file
 from persem_ros.settings.config import Config
+from persem_ros.settings.heights import hinted
 from persem_ros.settings.legend import Legend
 
 HIGHEST = 1 << 28           # farther than any block
@@ -162,7 +163,7 @@ def planned(paths: Sequence[str | Path], config: Config, tile: float) -> Plan:
         inputs.append(Input(number, '+'.join(str(part.resolve()) for part in split(paths[number])),
                             config, names, recording.expected, frozenset(recording.said)))
         names, legend = recording.legend, chosen_legend(config, recording)
-    return Plan(tuple(inputs), config, legend, side)
+    return Plan(tuple(inputs), hinted(config, legend), legend, side)
 
 
 def _looked_at(paths: Sequence[str | Path], config: Config) -> Iterator[Recording]:

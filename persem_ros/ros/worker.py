@@ -30,6 +30,7 @@ from persem_ros.ros.images import NO_SOURCE
 from persem_ros.ros.losses import remedy
 from persem_ros.ros.mover import Mover
 from persem_ros.ros.refiner import Refiner
+from persem_ros.settings.heights import hinted
 
 if TYPE_CHECKING:
     from persem_ros.core.frame.observe import Observations
@@ -88,7 +89,7 @@ class Worker(threading.Thread):
                  memory: VoxelMemory | None = None) -> None:
         """Make an empty map, or go on with *memory*."""
         super().__init__(name='worker', daemon=True)
-        self.pipeline = Pipeline(config, memory)
+        self.pipeline, self._given = Pipeline(config, memory), config
         self._keep_all()
         self.statistics = statistics
         self.paused = False
@@ -135,6 +136,7 @@ class Worker(threading.Thread):
         """
         self.inbox, self.intake, self.images, self.map = inbox, intake, images, maps
         self.inputs, self.first_look = inputs, first_look
+        self._hint()
 
     @property
     def config(self) -> Config:
@@ -192,15 +194,22 @@ class Worker(threading.Thread):
 
     def configure(self, config: Config) -> None:
         """Go on with other settings, between two frames."""
-        self._unrefined |= config.refine != self.config.refine
-        self.pipeline.config = config
+        self._given = config
+        self._hint()
         self.intake.configure(config)
         self.inbox.configure(config.sync)
+
+    def _hint(self) -> None:
+        """Go by the settings that were given, and by the heights that the legend tells."""
+        config = hinted(self._given, self.intake.names.legend)
+        self._unrefined |= config.refine != self.config.refine
+        self.pipeline.config = config
 
     def replace(self, memory: VoxelMemory | None, legend: Legend | None = None) -> None:
         """Go on with another map and its classes; None: an empty one, the classes as they are."""
         if legend is not None and not self.config.labels.legend:
             self.intake.names = self.intake.names.under(self.config, legend)
+            self._hint()
             self.map.publish_legend()
         self.pipeline = Pipeline(self.config, memory)
         self._keep_all()
@@ -338,6 +347,7 @@ class Worker(threading.Thread):
         for taker in item.input.takers:
             self.intake.take(item.input.role, taker, item.kind, item.arrival, item.data)
         if item.input.role == LEGEND:
+            self._hint()
             self.map.publish_legend()
         elif item.input.role == TF and self._watch_jumps:
             self._look_for_jumps(item)

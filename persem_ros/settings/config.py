@@ -10,6 +10,7 @@ from typing import Any, TYPE_CHECKING, TypeVar
 
 from persem_ros.errors import PersemError
 from persem_ros.guard.words import short
+from persem_ros.settings import heights
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -111,6 +112,9 @@ class Geometry:
     rounds: int = setting(3, 'rounds in which the parameters are fitted', '', 1, 100)
     groups: str = setting('both', 'which groups of places have habits: shapes anywhere, kinds in '
                           'areas, or both (an ablation)', choices=('both', 'shapes', 'cells'))
+    heights: str = setting(
+        '', "heights above the ground that classes keep to, as '3 -2 2; 5 4 inf': class, lowest, "
+        'highest; empty: those of the legend (key height, metres), if any', 'voxels')
 
 
 @dataclass(frozen=True)
@@ -575,6 +579,7 @@ def _check_together(config: Config) -> None:
     if config.refine.neighbours not in (6, 18, 26):
         raise PersemError(
             f'refine.neighbours: expected 6, 18 or 26, got {config.refine.neighbours}')
+    heights.parsed(config.refine.geometry.heights)
     if config.depth.kind == 'disparity' and not config.depth.scale:
         raise PersemError('depth.kind: disparity needs depth.scale, the focal length (pixels) x '
                           'the baseline (m) of the stereo camera')

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 import logging
+import math
 import os
 from pathlib import Path
 import site
@@ -25,7 +26,7 @@ import yaml
 
 LOG = logging.getLogger(__name__)
 GREY = 96, 96, 96       # of ids that the settings ignore
-FIELDS = ('id', 'name', 'color', 'group', 'ignored', 'dynamic', 'cost', 'las')
+FIELDS = ('id', 'name', 'color', 'group', 'ignored', 'dynamic', 'cost', 'las', 'height')
 NUMBERS = {'cost': 100, 'las': 255}     # the largest; the least is 0
 
 
@@ -53,6 +54,8 @@ class LegendClass:
     las : int or None
         Its code in LAS files, 0 .. 255 (ASPRS: 2 ground, 5 high vegetation, 6 building, 9 water,
         11 road, 64 and above free to use); None: not said.
+    height : (float, float) or None
+        Lowest and highest height above the ground where it is found, metres; None: not said.
 
     """
 
@@ -64,6 +67,7 @@ class LegendClass:
     dynamic: bool = False
     cost: int | None = None
     las: int | None = None
+    height: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +104,7 @@ class Legend:
         rows = content.get('classes') if isinstance(content, dict) else None
         if not isinstance(rows, list) or not rows:
             raise PersemError(f"{source}: expected a mapping with a list 'classes' of "
-                              '{id, name, color, group, ignored, dynamic, cost, las}')
+                              '{id, name, color, group, ignored, dynamic, cost, las, height}')
         classes = tuple(_class(row, f'{source}: classes[{i}]') for i, row in enumerate(rows))
         seen: dict[int, str] = {}
         for item in classes:
@@ -123,6 +127,8 @@ class Legend:
                             if getattr(item, flag))
             flags += ''.join(f', {key}: {getattr(item, key)}' for key in NUMBERS
                              if getattr(item, key) is not None)
+            if item.height is not None:
+                flags += f', height: [{", ".join(map(_edge, item.height))}]'
             lines.append(f'- {{id: {item.id}, name: {_scalar(item.name)}, '
                          f'color: {list(item.color)}, group: {_scalar(item.group)}{flags}}}')
         return '\n'.join(lines) + '\n' if self.classes else ''
@@ -326,7 +332,24 @@ def _class(row: object, where: str) -> LegendClass:
         raise PersemError(f'{where}: id {number} means "no label": expected ignored: true')
     return LegendClass(number, name, _color(row.get('color'), number, where),
                        str(row.get('group') or name), flags['ignored'], flags['dynamic'],
-                       numbers['cost'], numbers['las'])
+                       numbers['cost'], numbers['las'], _height(row.get('height'), where))
+
+
+def _height(value: object, where: str) -> tuple[float, float] | None:
+    """Return (lowest, highest) of [low, high] in metres, None of nothing."""
+    if value is None:
+        return None
+    if isinstance(value, list) and len(value) == 2 and \
+            all(type(v) in (int, float) and abs(v) <= math.inf for v in value) and \
+            value[0] <= value[1]:
+        return float(value[0]), float(value[1])
+    raise PersemError(f'{where}: height: expected [lowest, highest] in metres above the ground, '
+                      f'for example [-1, 1] or [2, .inf], got {short(value)}')
+
+
+def _edge(value: float) -> str:
+    """Return a number as YAML has it."""
+    return repr(value) if math.isfinite(value) else f'{"-" * (value < 0)}.inf'
 
 
 def _color(value: object, number: int, where: str) -> tuple[int, int, int]:

@@ -129,7 +129,8 @@ SETTINGS = st.sampled_from([
     Geometry(), Geometry(), Geometry(directions=2), Geometry(directions=32, cell=2),
     Geometry(window=0, cell=5), Geometry(window=3, cell=9), Geometry(weight=0.0),
     Geometry(smoothing=0.0, rounds=1), Geometry(prior=1.0, shrink=1.0, rounds=5),
-    Geometry(groups='shapes'), Geometry(groups='cells', prior=2.0)])
+    Geometry(groups='shapes'), Geometry(groups='cells', prior=2.0),
+    Geometry(heights='1 -1 1; 3 2 inf'), Geometry(heights='0 1 4; 2 -inf 0', groups='cells')])
 UPS = st.sampled_from(['z', 'z', 'x', 'y', '-x', '-y', '-z'])
 
 

@@ -93,7 +93,8 @@ def test_several_processes(recordings, by_geometry, tmp_path):
 
 @pytest.mark.parametrize('values', [
     {'refine.up': 'x', 'memory.max_history': 2},
-    {'map.origin': (0.13, -5.0, 0.7), 'refine.up': '-y', 'refine.geometry.smoothing': 0.0}],
+    {'map.origin': (0.13, -5.0, 0.7), 'refine.up': '-y', 'refine.geometry.smoothing': 0.0,
+     'refine.geometry.heights': '1 -1 1'}],
     ids=lambda values: next(iter(values)))
 def test_geometry_by_other_settings(recordings, tmp_path, values):
     values = {**GEOMETRY, **values}

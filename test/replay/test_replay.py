@@ -22,6 +22,7 @@ from persem_ros.errors import PersemError
 from persem_ros.frames import pinhole
 from persem_ros.inputs.recording.recording import Recording
 from persem_ros.inputs.recording.source import Source
+from persem_ros.outputs.map import store
 from persem_ros.outputs.map.lock import WriterLock
 from persem_ros.outputs.recording.writer import RecordingWriter
 from persem_ros.outputs.results.rundir import FILES
@@ -518,6 +519,21 @@ def test_flags_of_the_legend_are_proposed_and_never_applied(recording, tmp_path,
     caplog.clear()
     run(recording, tmp_path / 'c', config_of({'memory.dynamic_labels': [9]}))
     assert not caplog.records
+
+
+def test_heights_that_the_legend_gives_count_as_if_they_were_set(recording, tmp_path):
+    told = Legend.from_yaml(LEGEND.to_yaml().replace('id: 3,', 'id: 3, height: [1, 10],'))
+    own = worlds.write(tmp_path / 'wall', legend=told.to_yaml())
+    values, maps = {'refine.method': 'geometry'}, []
+    for out, path, more in (('none', recording, {}), ('own', own, {}),
+                            ('set', recording, {'refine.geometry.heights': '3 5 50'})):
+        run(path, tmp_path / out, config_of({**values, **more}), ('geometry',))
+        maps.append(store.load(tmp_path / out / 'map.persem').saved)
+    none, own, given = maps
+    assert own.fitted_by == given.fitted_by == (*none.fitted_by, '3 5 50')
+    assert own.label.tolist() == given.label.tolist()
+    assert all(np.array_equal(a, given.habits[name]) for name, a in own.habits.items())
+    assert not np.array_equal(own.habits['theta'], none.habits['theta'])
 
 
 def test_ids_out_of_range_are_ignored_and_counted(tmp_path, caplog):

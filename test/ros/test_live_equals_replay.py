@@ -38,9 +38,12 @@ def assert_same_maps(one, other):
             assert value == again, name
 
 
-@pytest.mark.parametrize('method', ['persem', 'geometry'])
-def test_played_by_ros2_bag(ros, tmp_path, method):
-    path, chosen = bags.write(tmp_path / 'bag', FRAMES), {'refine.method': method}
+@pytest.mark.parametrize(('method', 'height'), [
+    ('persem', ''), ('geometry', ''), ('geometry', 'height: [-1, 0.4]')])
+def test_played_by_ros2_bag(ros, tmp_path, method, height):
+    path, legend = bags.write(tmp_path / 'bag', FRAMES), tmp_path / 'legend.yaml'
+    legend.write_text(f'classes:\n- {{id: 1, name: low, {height}}}\n')
+    chosen = {'refine.method': method, 'labels.legend': str(legend)}
     expected = replayed(path, tmp_path / 'replay', **chosen)
     saved = tmp_path / 'live.persem'
     mapper = ros.mapper({'map.path': str(saved), 'map.rate': 20.0, **chosen}).ready()
@@ -56,6 +59,7 @@ def test_played_by_ros2_bag(ros, tmp_path, method):
     assert done and str(saved) in said
     assert_same_maps(expected, store.load(saved))
     assert bool(expected.saved.habits) == (method == 'geometry')
+    assert ('1 -10 4' in (expected.saved.fitted_by or ())) == bool(height)
     assert [messages.stamp_ns(m) for m in images] == [bags.stamp(i) for i in range(FRAMES)]
     assert {(m.header.frame_id, m.encoding, m.width, m.height, m.step) for m in images} == \
         {('camera', 'mono16', bags.WIDTH, bags.HEIGHT, 2 * bags.WIDTH)}

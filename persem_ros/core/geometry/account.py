@@ -7,6 +7,7 @@ from typing import Any, Optional
 import numpy as np
 from persem_ros.core.geometry.columns import cells_at
 from persem_ros.core.geometry.dense import looks
+from persem_ros.core.geometry.hints import hints
 from persem_ros.core.geometry.labelling import SMOOTHED, with_ring
 from persem_ros.core.geometry.method import groups_in, model_of, places_of
 from persem_ros.core.geometry.schedule import fit
@@ -62,6 +63,8 @@ def account(memory: Any, taken: Any, number: int, settings: Any,
     voted = slice(first, first + votes.count[row])
     best = int(np.flatnonzero(Q.max() - Q <= 1e-9)[0])
     named = _by_class(votes.classes)
+    shape = parameters.group_share(0, groups.fine[row], constants.prior) \
+        * hints(constants.heights, parameters.classes)[groups.fine[row]]
     return {
         'votes': {int(votes.classes[z]): float(share) for z, share in zip(
             votes.place[voted], votes.share[voted]) if z >= 0},
@@ -69,7 +72,7 @@ def account(memory: Any, taken: Any, number: int, settings: Any,
         'independent': float(looks(votes.total[row], parameters.rho)),
         'height': int(groups.height[row]), 'tilt': int(places.shape[row]) // LEVELS,
         'roughness': int(places.shape[row]) % LEVELS,
-        'shape': named(parameters.group_share(0, groups.fine[row], constants.prior)),
+        'shape': named(shape / shape.sum()),
         'cell': named(parameters.group_share(1, groups.coarse[row], constants.prior)),
         'shifted_cell': named(parameters.group_share(2, groups.shifted[row], constants.prior)),
         'neighbours': {} if theirs is None else named(theirs),

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, Optional
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.geometry.groups import Cells, counts, Groups, KINDS, SHAPES
+from persem_ros.core.geometry.hints import hints
 from persem_ros.core.geometry.neighbours import AROUND, list_neighbours
 from persem_ros.core.geometry.parameters import estimate, Parameters, Sums, TERM
 from persem_ros.core.geometry.posteriors import say, smooth, state, WORK
@@ -50,8 +51,9 @@ def tables_of(parameters: Parameters, settings: Any) -> Tables:
         (np.log(parameters.shares(k, settings.prior) / parameters.pi)
          if counts(settings.groups, k) else np.zeros_like(parameters.groups[k])).reshape(-1)
         for k in range(3))
+    known = np.log(hints(settings.heights, parameters.classes)).reshape(-1)
     return Tables(np.log(parameters.pi), np.log(parameters.theta + 1e-6).T.reshape(-1),
-                  fine, coarse, shifted, parameters.rho, settings.weight)
+                  fine + known, coarse, shifted, parameters.rho, settings.weight)
 
 
 class Dense:

@@ -163,7 +163,8 @@ def from_arrays(arrays: Arrays) -> Any_Parameters:
 
 def fitted_by(settings: Any) -> tuple[Any, ...]:
     """Return what parameters depend on besides the map: the values of refine.up and .geometry."""
-    return (settings.up, *astuple(settings.geometry))
+    *constants, heights = astuple(settings.geometry)
+    return (settings.up, *constants, *filter(None, [heights]))      # maps from before had none
 
 
 def parameters_of(memory: Any, settings: Any) -> Any:

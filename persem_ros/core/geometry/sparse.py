@@ -19,6 +19,7 @@ from persem_ros.core.geometry.dense import FAINT
 from persem_ros.core.geometry.entries import (
     count_in, Entries, entries_of, FEW, FREE, listed as as_listed, merged, value_of, wider)
 from persem_ros.core.geometry.groups import Cells, counts, Groups, KINDS, SHAPES
+from persem_ros.core.geometry.hints import hints
 from persem_ros.core.geometry.labelling import BUFFER
 from persem_ros.core.geometry.parameters import common_arrays, OWN, TERM
 from persem_ros.core.geometry.votes import Votes
@@ -244,6 +245,7 @@ def likely_of(parameters: SparseParameters, settings: Any) -> NDArray[np.int32]:
     """Return the classes that each shape is most often, (96, 16), ascending."""
     P = (parameters.fine + settings.prior * parameters.pi) \
         / (parameters.fine.sum(axis=1)[:, None] + settings.prior)
+    P *= hints(settings.heights, parameters.classes)
     most = np.argsort(-P, axis=1, kind='stable')[:, :LIKELY]
     return np.ascontiguousarray(np.sort(most, axis=1).astype(np.int32))
 
@@ -262,6 +264,7 @@ def tables_of(parameters: SparseParameters, settings: Any) -> SparseTables:
     chosen = settings.groups
     if not counts(chosen, 0):
         fine = np.tile(pi, (len(fine), 1))
+    fine = fine * hints(settings.heights, parameters.classes)
     for (group_keys, R), total in zip(known.groups, known.totals):
         if not counts(chosen, 1):
             logs += [*entries_of(np.empty(0, np.int64), np.empty(0)), np.zeros(len(total))]

@@ -31,6 +31,7 @@ from persem_ros.pipeline import Pipeline
 from persem_ros.preflight.look import opened
 from persem_ros.preflight.voxel_fit import VoxelFit
 from persem_ros.settings.config import IMAGE_METHODS, METHODS
+from persem_ros.settings.heights import hinted
 from persem_ros.settings.legend import Legend, load_legend
 
 if TYPE_CHECKING:
@@ -82,7 +83,9 @@ class Sequence:
         self.pipeline = Pipeline(recording.config)
         self.images = [m for m in task.methods if m in IMAGE_METHODS]
         self.methods = (*self.images, *(m for m in task.methods if m in METHODS))
-        self.taxonomy = taxonomy(task.labels, task.grouped, task.dynamic, _legend(recording, task))
+        legend = _legend(recording, task)
+        self.taxonomy = taxonomy(task.labels, task.grouped, task.dynamic, legend)
+        self.refine = hinted(task.config, legend).refine
         self.classes = Classes(self.taxonomy.table)
         self.fit = VoxelFit(task.config.memory)
         self.frames = 0
@@ -120,7 +123,7 @@ class Sequence:
         self.sources = np.zeros(memory.n_voxels, np.uint8)
         for row, method in zip(labels, voxel_methods):
             with self.watch(f'label {method}'):
-                found, sources = labelled(memory, taken, method, config.refine, rho, n_ids)[:2]
+                found, sources = labelled(memory, taken, method, self.refine, rho, n_ids)[:2]
                 row[taken.number] = found
             if method == config.refine.method:
                 self.sources[taken.number] = sources
