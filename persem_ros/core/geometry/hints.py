@@ -19,6 +19,7 @@ def hints(heights: str, classes: NDArray[np.uint16]) -> NDArray[np.float64]:
     heights : str
         refine.geometry.heights; '': nothing is known.
     classes : ndarray, shape (K,), uint16
+        Their ids.
 
     Returns
     -------

@@ -16,6 +16,8 @@ def list_neighbours(begin, end, wanted, blocks, block, cell, row, where, listed,
 
     Parameters
     ----------
+    begin, end : int
+        Which of *wanted*.
     wanted : ndarray, int64
         Rows of a snapshot, those of a block together.
     blocks, block, cell, row
