@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from persem_ros.core.frame import images
 from persem_ros.core.frame.clear import clear
 from persem_ros.core.frame.observe import gather
+from persem_ros.core.frame.place import place
 from persem_ros.core.frame.render import filled, render_map, voxel_image, voxel_image_of
 from persem_ros.core.frame.stride import thinned
 from persem_ros.core.memory.voxel_memory import VoxelMemory
@@ -91,22 +92,18 @@ class Pipeline:
             self.memory.pager.need_voxels(observations.voxels)
         if observations is not None:
             return voxel_image(self.memory, observations, shape)
-        return voxel_image_of(self.memory, *self._placed(frame), shape)
+        keys = place(images.measured(frame, self.config.memory), frame.T_map_camera,
+                     self.memory.voxel_size, self.memory.origin)
+        return voxel_image_of(self.memory, *keys, shape)
 
     def sighted(self, frame: Frame) -> Observations:
         """Return what all pixels of a frame say, whatever the stride."""
-        labels = images.counted_labels(frame, self.config.memory)
-        offsets = np.empty(frame.depth.size, np.int32)
-        return gather(*self._placed(frame, offsets), labels, self.config.memory.min_pixels,
-                      frame.stamp, frame.T_map_camera, frame.sensor, offsets,
-                      frame.T_body_camera, images.weights(frame))
-
-    def _placed(self, frame: Frame, offsets: NDArray[np.int32] | None = None
-                ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the voxels of the frame's pixels."""
-        x, y, z = self.memory.origin
-        return images.placed(frame, self.config.memory, self.memory.voxel_size, (x, y, z),
-                             offsets)
+        settings = self.config.memory
+        return gather(
+            images.measured(frame, settings), images.on_depth(frame, frame.labels),
+            images.counting(settings), frame.T_map_camera, self.memory.voxel_size,
+            settings.min_pixels, self.memory.origin, frame.stamp, frame.sensor,
+            frame.T_body_camera, images.weights(frame))
 
     @property
     def unknown(self) -> int:

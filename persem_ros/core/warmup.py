@@ -13,8 +13,9 @@ import time
 
 import numpy as np
 from persem_ros.core.frame.clear import clear
-from persem_ros.core.frame.images import placed, points
-from persem_ros.core.frame.observe import Observations, observe
+from persem_ros.core.frame.images import measured, points
+from persem_ros.core.frame.observe import EVERY, Observations, observe, Part
+from persem_ros.core.frame.place import measured_points, place, placing
 from persem_ros.core.frame.render import (
     filled, hide_gone, render, render_map, voxel_image, voxel_image_of)
 from persem_ros.core.frame.smoothing import EmaImages
@@ -130,9 +131,19 @@ def _seen(memory: VoxelMemory, k: int = 20, classes: int = 3) -> Observations:
     return observe(seen_points, ids, frame.T_map_camera, memory.voxel_size, stamp=k)
 
 
+def _in_parts(frame: Frame, size: float) -> None:
+    """Observe a frame in two parts, whatever the number of threads."""
+    seen_points, ids = points(frame, Memory())
+    where = np.empty(len(ids), np.int32)
+    counted = (*measured_points(seen_points), *placing(frame.T_map_camera, size, (0.0, 0.0, 0.0)),
+               size, ids, EVERY, np.empty(0, np.uint32), where)
+    Part(0, 9, *counted).add(Part(9, len(ids), *counted), where)
+
+
 def _refined(memory: VoxelMemory) -> None:
     """Do with *memory* all that is done with one, but for the method geometry."""
     frame = _frame()
+    _in_parts(frame, memory.voxel_size)
     thinned(frame, Memory(stride=0))
     for method in METHODS:
         if method != 'geometry':
@@ -156,7 +167,7 @@ def _refined(memory: VoxelMemory) -> None:
     render_map(memory, voxel_image(memory, seen, shape), source=True)
     Changes().take(memory)
     block_numbers(memory, np.zeros((1, 3), np.int32))
-    pixels = placed(frame, Memory(), memory.voxel_size, memory.origin)
+    pixels = place(measured(frame, Memory()), frame.T_map_camera, memory.voxel_size, memory.origin)
     filled(render(voxel_image_of(memory, *pixels, shape), labelled), frame.labels, Memory())
     EmaImages(0.5).update(frame.labels)
     for far in (30.0, 0.2):         # all blocks in memory, and those of a box

@@ -6,8 +6,9 @@ from core_worlds import examples, IDS, NO_IDS, pose, seeds
 from hypothesis import given, strategies as st
 import numpy as np
 from persem_ros.core import jit
-from persem_ros.core.frame.images import placed, points
-from persem_ros.core.frame.observe import place
+from persem_ros.core.frame.images import counting, measured, points
+from persem_ros.core.frame.observe import gather, observe
+from persem_ros.core.frame.place import measured_points, place
 from persem_ros.core.frame.stride import median_depth, stride_of, thinned
 from persem_ros.errors import PersemError
 from persem_ros.frames import Frame, pinhole
@@ -24,6 +25,12 @@ def frame_of(labels, depth, fx=40.0):
     h, w = depth.shape
     return Frame(0, np.asarray(labels, np.int32), depth,
                  pinhole(w, h, fx, fx * 1.1, (w - 1) / 2, (h - 1) / 2 + 0.3))
+
+
+def same(one, two):
+    """Assert that two Observations have the same bytes."""
+    for name in ('voxels', 'labels', 'confidences', 'where', 'ids', 'offsets'):
+        assert getattr(one, name).tobytes() == getattr(two, name).tobytes(), name
 
 
 def counted(frame, settings):
@@ -62,13 +69,13 @@ def test_random_frames(seed, h, w, stride, ignored, dynamic):
     frame = replace(frame, T_map_camera=pose(rng, 40.0))
     for voxel_size, origin in ((0.5, (0.0, 0.0, 0.0)), (0.03, (7.0, -300.0, 0.1)),
                                (5e-6, (0.0, 0.0, 0.0))):        # some are out of reach
-        offsets, their_offsets = np.empty((2, depth.size), np.int32)
-        keys, base = placed(frame, settings, voxel_size, origin, offsets)
-        those, its = place(points(frame, settings)[0], frame.T_map_camera, voxel_size, origin,
-                           their_offsets)
+        xyz, labels = points(frame, settings)
+        keys, base = place(measured(frame, settings), frame.T_map_camera, voxel_size, origin)
+        those, its = place(measured_points(xyz), frame.T_map_camera, voxel_size, origin)
         assert keys.tolist() == those.tolist() and base.tolist() == its.tolist()
-        assert offsets.tolist() == their_offsets.tolist()
-        assert placed(frame, settings, voxel_size, origin)[0].tolist() == those.tolist()
+        seen = gather(measured(frame, settings), frame.labels, counting(settings),
+                      frame.T_map_camera, voxel_size, 1, origin)
+        same(seen, observe(xyz, labels, frame.T_map_camera, voxel_size, 1, origin))
 
 
 @given(seeds, st.integers(1, 6), st.integers(1, 6), st.integers(1, 5), st.integers(1, 5))

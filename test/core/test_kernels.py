@@ -7,7 +7,7 @@ import sys
 from persem_ros.core.warmup import TURN, warm_up
 
 # Those that only kernels call.
-INSIDE = {'_grown', '_vote', 'wider', 'log_theta', 'find_shapes'}
+INSIDE = {'more_cubes', 'wider', 'log_theta', 'find_shapes'}
 
 SCRIPT = """
 import numpy as np
@@ -25,7 +25,8 @@ from persem_ros.core.memory.evict import keep_near
 from persem_ros.core.frame.clear import clear
 from persem_ros.core.frame.images import points
 from persem_ros.core.memory.voxel_memory import VoxelMemory
-from persem_ros.core.frame.observe import observe, place
+from persem_ros.core.frame.observe import observe
+from persem_ros.core.frame.place import measured_points, place
 from persem_ros.core.refine.job import abandon, begin, label, refine
 from persem_ros.core.refine.regions import regions
 from persem_ros.core.frame.render import filled, render, voxel_image, voxel_image_of
@@ -64,7 +65,8 @@ for shape in ((4, 6), (240, 320), (2, 2)):
         memory.add(seen)
         shown = voxel_image(memory, seen, depth.shape)
         voxel_image_of(
-            memory, *place(placed, frame.T_map_camera, memory.voxel_size), depth.shape)
+            memory, *place(measured_points(placed), frame.T_map_camera, memory.voxel_size),
+            depth.shape)
         for method in METHODS:
             found, _ = label(memory, method, Refine())
             filled(render(shown, frozen(found)), labels, Memory())

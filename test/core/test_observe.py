@@ -1,10 +1,13 @@
 """observe() against the reference: random clouds, borders, votes and identities."""
 
+from unittest import mock
+
 from core_worlds import examples, IDS, NO_IDS, pose, seeds
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
 from persem_ros.core import jit
+from persem_ros.core.frame import observe as module
 from persem_ros.core.frame.observe import observe
 from persem_ros.errors import PersemError
 from persem_ros.frames import UNKNOWN
@@ -31,7 +34,7 @@ def cloud(rng, n, extent=1.5):
 
 def same(one, two):
     """Assert that two Observations have the same bytes."""
-    for name in ('voxels', 'labels', 'confidences', 'where', 'ids'):
+    for name in ('voxels', 'labels', 'confidences', 'where', 'ids', 'offsets'):
         a, b = getattr(one, name), getattr(two, name)
         assert a.dtype == b.dtype and a.tobytes() == b.tobytes(), name
 
@@ -195,6 +198,39 @@ def test_the_same_again_and_with_another_number_of_threads():
             same(observe(points, labels, T, 0.25), one)
     finally:
         jit.set_threads(before)
+
+
+def in_parts(number):
+    """Return what stands in for jit.split(): as many slices as are asked for, one by one."""
+    def split(function, n, *arguments, grain=1):
+        edges = [n * i // number for i in range(number + 1)]
+        return [function(a, b, *arguments) for a, b in zip(edges, edges[1:]) if a < b]
+    return split
+
+
+@given(seeds, st.integers(1, 2000), st.sampled_from([0.05, 0.3, 4.0]), st.sampled_from([1, 3]),
+       st.sampled_from([2, 3, 7]), st.booleans())
+@examples(max_examples=80)
+def test_what_parts_of_a_frame_counted_adds_up(seed, n, voxel_size, min_pixels, parts, weighed):
+    # Voxels, their first ids and further ones in several parts, or in later ones alone; points
+    # that only have a place; ties. Small voxels are more than the first tables hold.
+    rng = np.random.default_rng(seed)
+    points, labels = cloud(rng, n)
+    labels[:rng.integers(0, n)] = -1
+    weights = rng.choice([0, 1, 30000, 65536], n).astype(np.uint32) if weighed else None
+    T = pose(rng)
+    with mock.patch.object(module, 'split', in_parts(1)):
+        whole = observe(points, labels, T, voxel_size, min_pixels, weights=weights)
+    with mock.patch.object(module, 'split', in_parts(parts)):
+        same(observe(points, labels, T, voxel_size, min_pixels, weights=weights), whole)
+
+
+def test_voxels_are_in_order_of_first_appearance():
+    rng = np.random.default_rng(8)
+    points, labels = cloud(rng, 1000)
+    seen = observe(points, labels, EYE, 0.3)
+    _, first = np.unique(seen.where[seen.where >= 0], return_index=True)
+    assert (np.diff(first) > 0).all()
 
 
 def test_inputs_are_left_alone():

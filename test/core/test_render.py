@@ -7,7 +7,8 @@ from hypothesis import given, strategies as st
 import numpy as np
 from persem_ros.core import jit
 from persem_ros.core.frame.images import points
-from persem_ros.core.frame.observe import observe, place
+from persem_ros.core.frame.observe import observe
+from persem_ros.core.frame.place import measured_points, place
 from persem_ros.core.frame.render import filled, nearest, render, voxel_image, voxel_image_of
 from persem_ros.core.frame.stride import thinned
 from persem_ros.core.memory.voxel_memory import VoxelMemory
@@ -57,7 +58,8 @@ def test_random_frames(seed, shape, stride, fill, dynamic, voxel_size):
     labels = rng.choice(IDS, memory.n_voxels).astype(np.uint16)
     voxels = voxel_image(memory, seen, shape)
     unseen = voxel_image_of(
-        memory, *place(placed, frame.T_map_camera, memory.voxel_size, memory.origin), shape)
+        memory, *place(measured_points(placed), frame.T_map_camera, memory.voxel_size,
+                       memory.origin), shape)
     assert voxels.tolist() == unseen.tolist()
     image = filled(render(voxels, labels), frame.labels, settings, fill)
     assert image.dtype == np.int32
@@ -109,7 +111,8 @@ def test_the_same_with_another_number_of_threads():
             labels = np.arange(memory.n_voxels).astype(np.uint16)
             voxels = voxel_image(memory, seen, shape)
             unseen = voxel_image_of(memory, *place(
-                placed, frame.T_map_camera, memory.voxel_size, memory.origin), shape)
+                measured_points(placed), frame.T_map_camera, memory.voxel_size,
+                memory.origin), shape)
             results.append((voxels.tobytes(), unseen.tobytes(),
                             render(voxels, labels).tobytes()))
     finally:

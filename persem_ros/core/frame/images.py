@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.frame.observe import NOWHERE, place, placing, REACH
+from persem_ros.core.frame.place import Measured
 from persem_ros.core.frame.render import nearest
-from persem_ros.core.jit import inlined, kernel, split
+from persem_ros.core.jit import kernel, split
 from persem_ros.errors import PersemError
 from persem_ros.frames import Frame, IGNORED, MAX_ID, same_aspect
 from persem_ros.settings.config import Memory
@@ -78,27 +78,21 @@ def on_labels(frame: Frame, image: NDArray[Pixel], fill: int) -> NDArray[Pixel]:
     return taken
 
 
-def placed(frame: Frame, settings: Memory, voxel_size: float, origin: tuple[float, float, float],
-           offsets: Any = None) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def measured(frame: Frame, settings: Memory) -> Measured:
     """
-    Return the voxels of a frame's pixels as (keys, base) of core.frame.observe.place().
+    Return what a frame measured, for core.frame.observe.gather() and place().
 
-    offsets, too, is as there.
-
-    The same as place(backprojected(...)), without the points in between: that is a twelfth of
+    Pixels are placed from their depths: backprojecting them to points first takes a twelfth of
     the time of integrating a frame.
 
     """
+    none = np.empty(0)
     if frame.points is not None:
-        return place(_cloud(frame, settings), frame.T_map_camera, voxel_size, origin, offsets)
+        return Measured(_cloud(frame, settings).reshape(-1), none, none, 0.0, 0.0)
     depth = np.require(frame.depth, np.float64, ('C', 'W'))
     rays = np.require(frame.camera.rays, np.float64, ('C', 'W'))
-    pose, base = placing(frame.T_map_camera, voxel_size, origin)
-    keys = np.empty(depth.shape, np.int64)
-    offsets = np.empty((0, 0), np.int32) if offsets is None else offsets.reshape(depth.shape)
-    split(_place, depth.shape[0], depth, rays, float(settings.min_depth),
-          float(settings.max_depth), pose, base, float(voxel_size), keys, offsets, grain=64)
-    return keys.reshape(-1), base.astype(np.int64)
+    return Measured(none, depth.reshape(-1), rays.reshape(-1), float(settings.min_depth),
+                    float(settings.max_depth))
 
 
 def backprojected(frame: Frame, settings: Memory) -> NDArray[np.float64]:
@@ -147,7 +141,7 @@ def check_aspect(labels: tuple[int, int], depth: tuple[int, int]) -> None:
 
 def counted(labels: NDArray[np.int32], settings: Memory) -> NDArray[np.int32]:
     """Return a copy of *labels*, int32, with -1 for each pixel that does not count."""
-    table = _table(tuple(settings.ignore_labels), tuple(settings.dynamic_labels))
+    table = counting(settings)
     labels = np.require(labels, np.int32, ('C', 'W'))
     result = np.empty(labels.shape, np.int32)
     split(_count, labels.shape[0], labels, table, result, grain=64)
@@ -157,9 +151,9 @@ def counted(labels: NDArray[np.int32], settings: Memory) -> NDArray[np.int32]:
 _tables: dict[tuple[int, ...], NDArray[np.int32]] = {}
 
 
-def _table(ignored: tuple[int, ...], dynamic: tuple[int, ...]) -> NDArray[np.int32]:
-    """Return a look-up table id -> id or -1 for 0 .. 65534."""
-    key = ignored + dynamic
+def counting(settings: Memory) -> NDArray[np.int32]:
+    """Return a look-up table id -> id or -1 for 0 .. 65534: what each id is counted as."""
+    key = tuple(settings.ignore_labels) + tuple(settings.dynamic_labels)
     if key not in _tables:
         table = np.arange(MAX_ID + 1, dtype=np.int32)
         table[[c for c in key if 0 <= c <= MAX_ID]] = IGNORED
@@ -174,61 +168,6 @@ def _count(begin, end, labels, table, out):
         for u in range(labels.shape[1]):
             c = labels[v, u]
             out[v, u] = table[c] if 0 <= c <= MAX_ID else IGNORED
-
-
-@kernel
-def _place(begin, end, depth, rays, min_depth, max_depth, pose, base, voxel_size, keys, offsets):
-    """
-    Write the key of each pixel's voxel in rows begin .. end, and its place there.
-
-    What core.frame.observe.key_of() does for one point, for a row of them at once and axis by
-    axis: loops without branches, which the compiler turns into vector instructions (1.8 ms
-    instead of 3.3 for 640 x 480 pixels).
-
-    """
-    width, measured = depth.shape[1], len(offsets) > 0
-    index, part = np.empty((3, width)), np.empty((3, width))
-    for v in range(begin, end):
-        for axis in range(3):
-            _along(depth[v], rays[v].reshape(-1), pose[3 * axis], pose[3 * axis + 1],
-                   pose[3 * axis + 2], pose[9 + axis], base[axis], voxel_size, index[axis],
-                   part[axis])
-        _join(depth[v], min_depth, max_depth, index[0], index[1], index[2], keys[v])
-        if measured:
-            _pack(keys[v], part[0], part[1], part[2], offsets[v])
-
-
-@inlined
-def _along(depth, rays, a, b, c, d, base, voxel_size, index, part):
-    """Write a row's voxels along one axis, from the sensor's own, and 256ths of the edge there."""
-    for u in range(len(depth)):
-        z = depth[u]
-        place = (a * (rays[2 * u] * z) + b * (rays[2 * u + 1] * z) + c * z + d) / voxel_size
-        low = np.floor(place)
-        index[u] = low - base
-        inside = (place - low) * 256.0
-        part[u] = inside if inside < 255.0 else 255.0   # a hair below zero is, less its floor, 1
-
-
-@inlined
-def _join(depth, min_depth, max_depth, x, y, z, keys):
-    """Write the keys of a row of indices; NOWHERE where depth is no measurement or too far."""
-    reach = np.float64(REACH)
-    for u in range(len(depth)):
-        d = depth[u]
-        there = (min_depth <= d) & (d <= max_depth) & (d > 0.0) \
-            & (abs(x[u]) < reach) & (abs(y[u]) < reach) & (abs(z[u]) < reach)
-        key = (np.int64(np.int32(x[u] + reach)) << 42) \
-            | (np.int64(np.int32(y[u] + reach)) << 21) | np.int64(np.int32(z[u] + reach))
-        keys[u] = key if there else NOWHERE
-
-
-@inlined
-def _pack(keys, x, y, z, offsets):
-    """Write a row's places in their voxels, 8 bits an axis."""
-    for u in range(len(keys)):
-        offset = (np.int32(x[u]) << 16) | (np.int32(y[u]) << 8) | np.int32(z[u])
-        offsets[u] = offset if keys[u] != NOWHERE else 0
 
 
 @kernel

@@ -6,7 +6,7 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.frame.observe import NOWHERE, REACH
+from persem_ros.core.frame.place import NOWHERE, REACH
 from persem_ros.core.jit import kernel, split
 from persem_ros.core.memory.blocks import find_block
 from persem_ros.core.memory.pools import SIDE
@@ -35,7 +35,7 @@ def voxel_image(
 
 def voxel_image_of(memory: VoxelMemory, keys: NDArray[np.int64], base: NDArray[np.int64],
                    shape: tuple[int, int]) -> NDArray[np.int32]:
-    """Return the same for pixels that were placed (core.frame.observe.place) and not observed."""
+    """Return the same for pixels that were placed (core.frame.place) and not observed."""
     image = np.empty(len(keys), np.int32)
     split(_find, len(keys), memory.m.blocks, memory.table, keys, base, image, grain=32768)
     return _present(memory, image).reshape(shape)
@@ -130,7 +130,7 @@ def _number(begin, end, where, numbers, image):
 
 @kernel
 def _find(begin, end, blocks, table, keys, base, image):
-    """Write the voxel number of each key (core.frame.observe.place)."""
+    """Write the voxel number of each key (core.frame.place)."""
     b = np.int64(-1)
     oi, oj, ok = np.int64(1 << 40), np.int64(0), np.int64(0)
     for p in range(begin, end):

@@ -8,7 +8,8 @@ from typing import Any, Optional
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.jit import kernel
-from persem_ros.core.memory.append import new_link, take_voxel, write, write_offset
+from persem_ros.core.memory.append import (
+    hang_link, take_link, take_voxel, write, write_offset)
 from persem_ros.core.memory.blocks import make_block, new_table
 from persem_ros.core.memory.evidence import add_here, count_classes, read_evidence, spill
 from persem_ros.core.memory.frame_table import FrameTable
@@ -315,7 +316,8 @@ def _write(pools, table, index, block_start, cell, observations, switches, label
             for h in range(history_start[r], history_start[r + 1]):
                 if place == CHUNK or link == 0:
                     place = place % CHUNK
-                    link = new_link(voxel, links, free, used, n)
+                    before, link = max(link, 1), take_link(free, used) + 1
+                    hang_link(voxel, links[link - 1], links[before - 1], link, n)
                 write(links[link - 1], place, labels[h], confidences[h], frames[h])
                 write_offset(offsets[link - 1], place, where[h, 0], where[h, 1], where[h, 2])
                 place += 1

@@ -334,14 +334,27 @@ class VoxelMemory:
             self._stamps.add(seen.stamp, t)
         sessions = self.frames.sessions
         if self.session not in sessions:
+            order = self._stripes(seen)
             sessions[self.session] = Session(session_uuid(
-                seen.stamp, seen.sensor, seen.T_map_sensor, seen.voxels, seen.labels,
-                seen.confidences))
+                seen.stamp, seen.sensor, seen.T_map_sensor, seen.voxels[order],
+                seen.labels[order], seen.confidences[order]))
         mounts = sessions[self.session].mounts
         if seen.sensor not in mounts:
             mounts[seen.sensor] = np.eye(4) if seen.T_body_sensor is None else \
                 np.array(seen.T_body_sensor, np.float64)
         return self.frames.append(t, self.session, seen.sensor, seen.stamp, seen.T_map_sensor)
+
+    def _stripes(self, seen: Observations) -> NDArray[np.int64]:
+        """
+        Return the order of a frame's voxels by which its session gets its UUID.
+
+        Those of every second stripe, 16 voxels wide along y, before the others: so they were
+        once observed, and a session keeps its name in maps of any version.
+
+        """
+        base = np.floor((seen.T_map_sensor[1, 3] - self.origin[1]) / self.voxel_size)
+        stripes = (seen.voxels[:, 1].astype(np.int64) - np.int64(base)) >> 4 & 1
+        return np.argsort(stripes, kind='stable')
 
 
 def ordered(columns: dict[str, Any]) -> dict[str, Any]:
