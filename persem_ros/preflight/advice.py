@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.frames import MAX_ID
 from persem_ros.preflight.voxel_fit import VoxelFit
+from persem_ros.settings import heights
 
 if TYPE_CHECKING:
     from persem_ros.core.memory.voxel_memory import VoxelMemory
@@ -57,7 +58,8 @@ class Advice:
             Whether an id was integrated (VoxelMemory.seen_ids).
 
         """
-        return [*self._about_ids(), *self._about_flags(seen_ids), *self._about_places()]
+        return [*self._about_ids(), *self._about_flags(seen_ids), *self._about_heights(seen_ids),
+                *self._about_places()]
 
     def about_voxels(self, memory: VoxelMemory, voxels: int) -> list[str]:
         """Return what there is to say of the voxels' size, so many in the whole map."""
@@ -87,6 +89,22 @@ class Advice:
                 value = ','.join(str(c) for c in (*given, *marked))
                 yield (f'the legend marks {names} as {flag}, the map holds what was seen of it; '
                        f'to leave it out: --set memory.{name}={value}')
+
+    def _about_heights(self, seen_ids: NDArray[np.uint8]) -> Iterator[str]:
+        """Say that heights count for the method geometry, and of which classes in vain."""
+        refine, size = self._config.refine, self._config.memory.voxel_size
+        spans = heights.parsed(refine.geometry.heights) if refine.method == 'geometry' else ()
+        here = [(self._legend.name(c), low * size, high * size)
+                for c, low, high in spans if seen_ids[c]]
+        if here:
+            said = ', '.join(f'{name} {low:.3g} to {high:.3g} m' for name, low, high in here[:5])
+            said += f' and {len(here) - 5} more classes' if len(here) > 5 else ''
+            yield (f'geometry goes by the heights of {said} above the ground; without them: '
+                   f'--set {heights.NAME}={heights.NONE}')
+        missing = [str(c) for c, _, _ in spans if not seen_ids[c]]
+        if missing and (not here or not refine.geometry.heights.startswith(heights.OF_LEGEND)):
+            yield (f'{heights.NAME} or the legend give heights of classes that do not occur: '
+                   f'{", ".join(missing)}; expected ids of the recording, persem info prints them')
 
     def _about_places(self) -> Iterator[str]:
         if self._far is not None:

@@ -113,8 +113,8 @@ class Geometry:
     groups: str = setting('both', 'which groups of places have habits: shapes anywhere, kinds in '
                           'areas, or both (an ablation)', choices=('both', 'shapes', 'cells'))
     heights: str = setting(
-        '', "heights above the ground that classes keep to, as '3 -2 2; 5 4 inf': class, lowest, "
-        'highest; empty: those of the legend (key height, metres), if any', 'voxels')
+        '', "heights above the ground that classes keep to, as '3 -2 2; 5 4 inf': id, lowest, "
+        "highest; empty: those of the legend (its key height, in metres); 'none': none", 'voxels')
 
 
 @dataclass(frozen=True)

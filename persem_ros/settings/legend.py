@@ -344,7 +344,8 @@ def _height(value: object, where: str) -> tuple[float, float] | None:
             value[0] <= value[1]:
         return float(value[0]), float(value[1])
     raise PersemError(f'{where}: height: expected [lowest, highest] in metres above the ground, '
-                      f'for example [-1, 1] or [2, .inf], got {short(value)}')
+                      'the lowest first, infinity as .inf: for example [-1, 1] or [2, .inf]; got '
+                      f'{short(value)}')
 
 
 def _edge(value: float) -> str:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from persem_ros.errors import PersemError
 from persem_ros.settings.config import Config, updated
-from persem_ros.settings.heights import hinted, parsed
+from persem_ros.settings.heights import canonical, hinted, parsed
 from persem_ros.settings.legend import Legend
 import pytest
 
@@ -18,6 +18,8 @@ classes:
 
 def test_a_setting_says_class_lowest_highest():
     assert parsed('') == parsed(' ; ') == ()
+    assert canonical('legend: 5 4 inf;3 -2 2.50') == canonical('3 -2 2.5; 5 4 inf') == \
+        '3 -2 2.5; 5 4 inf'
     assert parsed('5 4 inf; 3 -2 2.5;') == ((3, -2.0, 2.5), (5, 4.0, float('inf')))
 
 
@@ -34,7 +36,13 @@ def test_a_legend_gives_metres_and_the_setting_goes_before():
     assert Legend.from_yaml(legend.to_yaml()) == legend
     config = hinted(updated(Config(), {'memory.voxel_size': 0.25}), legend)
     assert parsed(config.refine.geometry.heights) == ((3, -4.0, 4.0), (5, 10.0, float('inf')))
-    assert hinted(config, Legend()) is config
+    assert config.refine.geometry.heights.startswith('legend: ')
+    assert hinted(config, legend) is config
+    coarse = hinted(updated(config, {'memory.voxel_size': 0.5}), legend)    # given back
+    assert parsed(coarse.refine.geometry.heights) == ((3, -2.0, 2.0), (5, 5.0, float('inf')))
+    assert hinted(config, Legend()).refine == Config().refine
+    none = updated(Config(), {'refine.geometry.heights': 'none'})
+    assert hinted(none, legend) is none and parsed('none') == ()
     said = updated(Config(), {'refine.geometry.heights': '3 0 9'})
     assert hinted(said, legend) is said
     assert hinted(Config(), Legend()) == Config()

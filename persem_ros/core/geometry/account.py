@@ -38,7 +38,8 @@ def account(memory: Any, taken: Any, number: int, settings: Any,
     dict
         votes {c: p_v}, looks (N_v) and independent (n_v); height (voxels above ground), tilt
         (0 upright, 1 sloping, 2 level, 3 none) and roughness (0 smooth, 1 rough, 2 scattered);
-        shape, cell and shifted_cell {c: P_k(c|b_k)}, what such places are called; neighbours
+        shape, cell and shifted_cell {c: P_k(c|b_k)}, what such places are called; unlikely, the
+        classes that refine.geometry.heights has elsewhere; neighbours
         {c: mean Q}, empty without any; frequencies {c: pi}; posterior {c: Q}; rho; label and
         probability.
 
@@ -63,8 +64,8 @@ def account(memory: Any, taken: Any, number: int, settings: Any,
     voted = slice(first, first + votes.count[row])
     best = int(np.flatnonzero(Q.max() - Q <= 1e-9)[0])
     named = _by_class(votes.classes)
-    shape = parameters.group_share(0, groups.fine[row], constants.prior) \
-        * hints(constants.heights, parameters.classes)[groups.fine[row]]
+    likely = hints(constants.heights, parameters.classes)[groups.fine[row]]
+    shape = parameters.group_share(0, groups.fine[row], constants.prior) * likely
     return {
         'votes': {int(votes.classes[z]): float(share) for z, share in zip(
             votes.place[voted], votes.share[voted]) if z >= 0},
@@ -73,6 +74,7 @@ def account(memory: Any, taken: Any, number: int, settings: Any,
         'height': int(groups.height[row]), 'tilt': int(places.shape[row]) // LEVELS,
         'roughness': int(places.shape[row]) % LEVELS,
         'shape': named(shape / shape.sum()),
+        'unlikely': parameters.classes[likely < 1.0].tolist(),
         'cell': named(parameters.group_share(1, groups.coarse[row], constants.prior)),
         'shifted_cell': named(parameters.group_share(2, groups.shifted[row], constants.prior)),
         'neighbours': {} if theirs is None else named(theirs),

@@ -14,6 +14,7 @@ from persem_ros.core.geometry.posteriors import MOST as MOST_DENSE
 from persem_ros.core.geometry.sparse import estimate_sparse, SparseParameters, SparseSums
 from persem_ros.core.geometry.totals import Numbers
 from persem_ros.core.memory.pools import ranges
+from persem_ros.settings.heights import canonical
 
 MOST = 2.0 ** 53         # voxels or looks that a sum may come to
 LEAST_PI = 1e-12        # section 12.4 adds 1e-9 to each
@@ -164,7 +165,7 @@ def from_arrays(arrays: Arrays) -> Any_Parameters:
 def fitted_by(settings: Any) -> tuple[Any, ...]:
     """Return what parameters depend on besides the map: the values of refine.up and .geometry."""
     *constants, heights = astuple(settings.geometry)
-    return (settings.up, *constants, *filter(None, [heights]))      # maps from before had none
+    return (settings.up, *constants, *filter(None, [canonical(heights)]))   # older maps had none
 
 
 def parameters_of(memory: Any, settings: Any) -> Any:

@@ -132,12 +132,14 @@ def _by_geometry(found: dict[str, Any], voxel_size: float, name: Namer) -> list[
         best = sorted(values, key=lambda c: (-values[c], c))[:3]
         return ', '.join(f'{name(c)} {values[c]:.2f}' for c in best if values[c] >= 0.005)
 
+    away = ', '.join(map(name, found['unlikely']))
     result = [f'looks: {leading(found["votes"])}; those from one direction count once, which '
               f'leaves {found["looks"]:.2f}; as even these repeat mistakes of each other, they '
               f'weigh like {found["independent"]:.2f} that do not',
               f'place: {found["height"] * voxel_size:.2f} m above ground ({found["height"]} '
               f'voxels), {TILTS[found["tilt"]]}, {ROUGHNESS[found["roughness"]]}',
               f'places of this height and shape are called: {leading(found["shape"])}',
+              *([f'hardly found so high, by refine.geometry.heights: {away}'] if away else []),
               f'around here, of this kind: {leading(found["cell"])}',
               'neighbours: ' + (leading(found['neighbours']) or 'none')]
     return result + [f'all together: {leading(found["posterior"])}']

@@ -1,0 +1,38 @@
+"""Heights that count are said, and those that cannot."""
+
+import numpy as np
+from persem_ros.preflight.advice import Advice
+from persem_ros.settings.config import Config, updated
+from persem_ros.settings.heights import hinted
+from persem_ros.settings.legend import Legend
+
+LEGEND = Legend.from_yaml("""
+classes:
+- {id: 3, name: road, height: [-1, 1]}
+- {id: 5, name: building, height: [2.5, .inf]}
+""")
+
+
+def said(ids, legend=LEGEND, **values):
+    """Return what is said of the heights where so many ids were seen."""
+    config = updated(Config(), {'refine.method': 'geometry', **{
+        f'refine.{name}': value for name, value in values.items()}})
+    seen = np.zeros(65536, np.uint8)
+    seen[ids] = 1
+    return Advice(hinted(config, legend), legend).sentences(seen)
+
+
+def test_heights_that_count_are_said():
+    assert said([3, 5]) == [
+        'geometry goes by the heights of road -1 to 1 m, building 2.5 to inf m above the ground; '
+        'without them: --set refine.geometry.heights=none']
+    assert said([3, 5], method='persem') == said([3, 5], Legend()) == []
+    off = updated(Config(), {'refine.method': 'geometry', 'refine.geometry.heights': 'none'})
+    assert Advice(hinted(off, LEGEND), LEGEND).sentences(np.ones(65536, np.uint8)) == []
+
+
+def test_heights_of_nothing_are_said():
+    told, = said([7])
+    assert told.startswith('refine.geometry.heights or the legend give heights of classes that do '
+                           'not occur: 3, 5; expected ids of the recording')
+    assert len(said([3])) == 1      # a legend may know of more than was seen
