@@ -129,6 +129,7 @@ def flown(recording, values, folder, rate=1.0, after=0.0, killed=None):
     Parameters
     ----------
     recording : Path
+        A rosbag2 folder.
     values : sequence of str
         NAME=VALUE, as of --set; with map.path and map.attached.
     folder : Path
