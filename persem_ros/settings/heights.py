@@ -9,7 +9,6 @@ import math
 from typing import TYPE_CHECKING
 
 from persem_ros.errors import PersemError
-from persem_ros.frames import MAX_ID
 from persem_ros.guard.words import short
 
 if TYPE_CHECKING:
@@ -17,6 +16,7 @@ if TYPE_CHECKING:
     from persem_ros.settings.legend import Legend
 
 NAME = 'refine.geometry.heights'
+MAX_ID = 65534          # frames.MAX_ID, without the NumPy that frames imports: --help is instant
 NONE, OF_LEGEND = 'none', 'legend:'     # no heights, whatever the legend says; those it said
 EXAMPLE = "'3 -2 2; 5 4 inf' (class 3 from 2 voxels below the ground to 2 above it, 5 from 4 up)"
 
