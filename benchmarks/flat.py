@@ -15,7 +15,7 @@ from persem_ros.outputs.grid.layers import Layers
 from persem_ros.outputs.grid.rule import rule_of
 from persem_ros.outputs.map.mirror import Mirror
 from persem_ros.pipeline import Pipeline
-from persem_ros.ros.refiner import stand_back
+from persem_ros.ros.priority import stand_back
 from persem_ros.settings.config import Map
 from persem_ros.settings.legend import Legend
 import scenes

@@ -9,7 +9,7 @@ import time
 from typing import TYPE_CHECKING
 
 from persem_ros.errors import PersemError
-from persem_ros.ros.refiner import stand_back
+from persem_ros.ros.priority import stand_back
 
 if TYPE_CHECKING:
     from persem_ros.core.memory.paging import Checkpoint, Pager

@@ -21,7 +21,7 @@ from persem_ros.preflight.findings import Finding, NOTE, REFUSE
 from persem_ros.preflight.look import look
 from persem_ros.preflight.sample import Sample, Shot, View
 from persem_ros.ros.inbox import Item
-from persem_ros.ros.refiner import stand_back
+from persem_ros.ros.priority import stand_back
 from persem_ros.ros.topic import Input
 from persem_ros.settings.config import Config
 from persem_ros.settings.legend import Legend

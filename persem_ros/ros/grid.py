@@ -22,7 +22,7 @@ from persem_ros.outputs.grid.layers import Layers, TooLarge
 from persem_ros.outputs.grid.rule import rule_of
 from persem_ros.ros.map import LATCHED
 from persem_ros.ros.messages import header
-from persem_ros.ros.refiner import stand_back
+from persem_ros.ros.priority import stand_back
 from persem_ros.ros.wording import as_ros
 from rclpy.clock import Clock, ClockType
 try:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from persem_ros.core.memory.changes import Changes
 from persem_ros.outputs.map.mirror import Mirror
 from persem_ros.ros.messages import cloud, label_info, LabelInfo
-from persem_ros.ros.refiner import stand_back
+from persem_ros.ros.priority import stand_back
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String

@@ -22,7 +22,7 @@ from persem_ros.core.memory.voxel_memory import stored_observations, VoxelMemory
 from persem_ros.errors import PersemError
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.trajectory import from_path, PATH
-from persem_ros.ros.refiner import stand_back
+from persem_ros.ros.priority import stand_back
 from persem_ros.settings.config import Config
 
 log = logging.getLogger(__name__)

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
-import os
-import threading
 import time
 from typing import Any, TYPE_CHECKING
 
-from persem_ros.core.jit import work_alone
 from persem_ros.core.refine.job import abandon, at_rest, begin_next, finish, swept
 from persem_ros.core.warmup import warm_up
 from persem_ros.errors import PersemError
+from persem_ros.ros.priority import stand_back
 
 if TYPE_CHECKING:
     from persem_ros.core.memory.voxel_memory import VoxelMemory
@@ -22,7 +19,6 @@ if TYPE_CHECKING:
     from persem_ros.settings.config import Refine
 
 Labels = tuple[Any, ...]        # what Job.compute gives and core.refine.job.finish takes
-NICE = 10       # above the priority of the process, where 19 is least
 
 
 class Refiner:
@@ -134,10 +130,3 @@ class Refiner:
             return job.compute()
         finally:
             self._wake()
-
-
-def stand_back() -> None:
-    """Let the computing thread use one core, and that only where mapping does not need it."""
-    work_alone()
-    with suppress(OSError, AttributeError):
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)    # of this thread

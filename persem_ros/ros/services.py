@@ -13,7 +13,7 @@ from persem_ros.core.memory.capture import Capture
 from persem_ros.core.refine.job import refine_all
 from persem_ros.errors import PersemError
 from persem_ros.ros.map_file import path_of
-from persem_ros.ros.refiner import stand_back
+from persem_ros.ros.priority import stand_back
 from persem_ros.ros.wording import as_ros
 from rclpy.callback_groups import ReentrantCallbackGroup
 from std_srvs.srv import Trigger

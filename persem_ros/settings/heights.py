@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import lru_cache
-import math
 from typing import TYPE_CHECKING
 
 from persem_ros.errors import PersemError
@@ -42,7 +41,7 @@ def parsed(text: str) -> tuple[tuple[int, float, float], ...]:
             raise PersemError(f'{NAME}: expected id, lowest and highest height in voxels, classes '
                               f'parted by ";", as in {EXAMPLE}, or {NONE}; got '
                               f'{short(part.strip())}') from None
-        if not 0 <= c <= MAX_ID or math.isnan(sum(span)) or span[0] > span[1] or c in found:
+        if not 0 <= c <= MAX_ID or not span[0] <= span[1] or c in found:     # false for NaN
             raise PersemError(f'{NAME}: expected each id (0 to {MAX_ID}) once and its lowest '
                               f'height first, as in {EXAMPLE}; got {short(part.strip())}')
         found[c] = span

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 import logging
@@ -340,9 +341,9 @@ def _height(value: object, where: str) -> tuple[float, float] | None:
     if value is None:
         return None
     if isinstance(value, list) and len(value) == 2 and \
-            all(type(v) in (int, float) and abs(v) <= math.inf for v in value) and \
-            value[0] <= value[1]:
-        return float(value[0]), float(value[1])
+            all(type(v) in (int, float) for v in value) and value[0] <= value[1]:   # false for NaN
+        with suppress(OverflowError):
+            return float(value[0]), float(value[1])
     raise PersemError(f'{where}: height: expected [lowest, highest] in metres above the ground, '
                       'the lowest first, infinity as .inf: for example [-1, 1] or [2, .inf]; got '
                       f'{short(value)}')

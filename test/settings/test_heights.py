@@ -20,6 +20,7 @@ def test_a_setting_says_class_lowest_highest():
     assert parsed('') == parsed(' ; ') == ()
     assert canonical('legend: 5 4 inf;3 -2 2.50') == canonical('3 -2 2.5; 5 4 inf') == \
         '3 -2 2.5; 5 4 inf'
+    assert parsed('3 -inf inf') == ((3, -float('inf'), float('inf')),)      # anywhere
     assert parsed('5 4 inf; 3 -2 2.5;') == ((3, -2.0, 2.5), (5, 4.0, float('inf')))
 
 
@@ -50,7 +51,8 @@ def test_a_legend_gives_metres_and_the_setting_goes_before():
                                                               {'memory.voxel_size': 0.25})
 
 
-@pytest.mark.parametrize('height', ['1', '[1]', '[2, 1]', '[a, b]', '[.nan, 1]', '[true, 2]'])
+@pytest.mark.parametrize('height', ['1', '[1]', '[2, 1]', '[a, b]', '[.nan, 1]', '[true, 2]',
+                                    f'[0, 1{"0" * 400}]'])
 def test_a_height_that_is_none_is_refused(height):
     with pytest.raises(PersemError, match=r'classes\[0\]: height: expected \[lowest, highest\]'):
         Legend.from_yaml(f'classes:\n- {{id: 3, name: road, height: {height}}}')
