@@ -9,8 +9,9 @@ import numpy as np
 from persem_ros.core import jit
 from persem_ros.core.memory.capture import Capture
 from persem_ros.core.memory.changes import Changes
-from persem_ros.core.refine.job import begin_next, finish
+from persem_ros.core.refine.job import finish
 from persem_ros.core.refine.snapshot import settle
+from persem_ros.core.refine.turns import begin_next
 from persem_ros.outputs.grid.layers import Layers
 from persem_ros.outputs.grid.rule import rule_of
 from persem_ros.outputs.map.mirror import Mirror

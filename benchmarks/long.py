@@ -17,7 +17,9 @@ import time
 import numpy as np
 from persem_ros.core.frame.observe import Observations
 from persem_ros.core.memory.paging import Pager
-from persem_ros.core.refine.job import begin_next, blocks_at_once, finish, refine_all
+from persem_ros.core.refine.job import finish
+from persem_ros.core.refine.turns import begin_next
+from persem_ros.core.refine.whole import blocks_at_once, refine_all
 from persem_ros.core.warmup import warm_up
 from persem_ros.outputs.map.living import LivingMap
 from persem_ros.settings.config import Config, updated

@@ -13,7 +13,7 @@ from persem_ros.core.memory.capture import dump
 from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.move import corrected, correction_of, moved
 from persem_ros.core.memory.voxel_memory import VoxelMemory
-from persem_ros.core.refine.job import refine
+from persem_ros.core.refine.whole import refine
 from persem_ros.core.trajectory import Correction, Trajectory
 from persem_ros.core.transforms import quaternions, rotations, slerps
 from persem_ros.core.warmup import warm_up

@@ -16,7 +16,7 @@ import numpy as np
 from persem_ros.core import jit
 from persem_ros.core.frame.stride import stride_of
 from persem_ros.core.memory.voxel_memory import stored_observations
-from persem_ros.core.refine.job import refine
+from persem_ros.core.refine.whole import refine
 from persem_ros.core.warmup import warm_up
 from persem_ros.outputs.recording.writer import RecordingWriter
 from persem_ros.outputs.results.rundir import hardware, versions

@@ -13,8 +13,8 @@ import sys
 import matplotlib
 import numpy as np
 from persem_ros.core.geometry.account import account
-from persem_ros.core.refine.job import refine
 from persem_ros.core.refine.snapshot import take
+from persem_ros.core.refine.whole import refine
 from persem_ros.pipeline import Pipeline
 from persem_ros.settings.config import Config
 from persem_ros.simulate.flight import Flight, Plan

@@ -18,7 +18,7 @@ from persem_ros.core.frame.render import render, voxel_image
 from persem_ros.core.geometry.method import relabel
 from persem_ros.core.geometry.votes import take_votes
 from persem_ros.core.memory.pools import ranges
-from persem_ros.core.refine.job import label
+from persem_ros.core.refine.labelled import label
 from persem_ros.core.refine.snapshot import take
 from persem_ros.pipeline import Pipeline
 from persem_ros.preflight.look import opened

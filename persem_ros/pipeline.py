@@ -19,7 +19,9 @@ from persem_ros.core.frame.place import place
 from persem_ros.core.frame.render import filled, render_map, voxel_image, voxel_image_of
 from persem_ros.core.frame.stride import thinned
 from persem_ros.core.memory.voxel_memory import VoxelMemory
-from persem_ros.core.refine.job import begin_next, finish, refine
+from persem_ros.core.refine.job import finish
+from persem_ros.core.refine.turns import begin_next
+from persem_ros.core.refine.whole import refine
 from persem_ros.frames import UNKNOWN
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from persem_ros.core.frame.images import counted, on_depth, on_labels
 from persem_ros.core.frame.render import filled, render
 from persem_ros.core.frame.smoothing import EmaImages
 from persem_ros.core.refine.in_view import InView
-from persem_ros.core.refine.job import label
+from persem_ros.core.refine.labelled import label
 from persem_ros.core.refine.regions import regions
 from persem_ros.frames import UNKNOWN
 from persem_ros.outputs.results.metrics import valid_pixels

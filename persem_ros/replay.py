@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.ahead import read_ahead, WriteBehind
 from persem_ros.core.jit import Announcement
-from persem_ros.core.refine.job import SWEPT
+from persem_ros.core.refine.labelled import SWEPT
 from persem_ros.core.refine.regions import region_image
 from persem_ros.core.warmup import warm_up
 from persem_ros.errors import PersemError

@@ -1,7 +1,7 @@
 """A small map file for tests of what is made of map files."""
 
 import core_worlds as cw
-from persem_ros.core.refine.job import refine
+from persem_ros.core.refine.whole import refine
 from persem_ros.outputs.export.source import MapSource
 from persem_ros.outputs.map import store
 from persem_ros.settings.config import Config, updated

@@ -11,8 +11,9 @@ from persem_ros.core.frame.observe import observe
 from persem_ros.core.memory.evict import keep_near
 from persem_ros.core.memory.paging import Pager
 from persem_ros.core.refine.explain import explain
-from persem_ros.core.refine.job import label, refine, refine_all
+from persem_ros.core.refine.labelled import label
 from persem_ros.core.refine.regions import regions
+from persem_ros.core.refine.whole import refine, refine_all
 from persem_ros.outputs.export.source import MapSource
 from persem_ros.outputs.map import rows, store, tables
 from persem_ros.outputs.map.cloud import map_points

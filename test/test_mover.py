@@ -8,7 +8,7 @@ import core_worlds as cw
 import numpy as np
 from persem_ros.core.memory.capture import dump
 from persem_ros.core.memory.move import corrected, correction_of, moved
-from persem_ros.core.refine.job import refine
+from persem_ros.core.refine.whole import refine
 from persem_ros.core.transforms import transform
 from persem_ros.errors import PersemError
 from persem_ros.inputs.decode.serialized import Decoder

@@ -38,7 +38,7 @@ def run(args: Namespace) -> None:
     """Merge, refine, write; print what it is equal to."""
     from pathlib import Path
 
-    from persem_ros.core.refine.job import refine
+    from persem_ros.core.refine.whole import refine
     from persem_ros.outputs.map import store
     from persem_ros.outputs.map.merge import merge
     from persem_ros.outputs.map.move import transformed

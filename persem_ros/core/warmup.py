@@ -30,9 +30,12 @@ from persem_ros.core.memory.frame_pages import pages_of
 from persem_ros.core.memory.move import moved
 from persem_ros.core.memory.paging import block_numbers
 from persem_ros.core.memory.voxel_memory import VoxelMemory
-from persem_ros.core.refine.job import begin_next, finish, label, refine
+from persem_ros.core.refine.job import finish
+from persem_ros.core.refine.labelled import label
 from persem_ros.core.refine.regions import region_image, regions
 from persem_ros.core.refine.snapshot import take
+from persem_ros.core.refine.turns import begin_next
+from persem_ros.core.refine.whole import refine
 from persem_ros.frames import Frame, pinhole
 from persem_ros.settings.config import Memory, METHODS, Refine
 

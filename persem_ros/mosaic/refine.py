@@ -14,7 +14,8 @@ from persem_ros.core.memory.dump import Blocks
 from persem_ros.core.memory.paging import block_numbers
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine import snapshot
-from persem_ros.core.refine.job import finish, Job, number_of_ids
+from persem_ros.core.refine.job import finish, Job
+from persem_ros.core.refine.labelled import number_of_ids
 from persem_ros.core.refine.reach import ASIDE, surrounded
 from persem_ros.mosaic.fit import Fitted
 from persem_ros.mosaic.folder import load_array

@@ -7,7 +7,9 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import time
 from typing import Any, TYPE_CHECKING
 
-from persem_ros.core.refine.job import abandon, at_rest, begin_next, finish, swept
+from persem_ros.core.refine.job import abandon, finish
+from persem_ros.core.refine.rules import at_rest, swept
+from persem_ros.core.refine.turns import begin_next
 from persem_ros.core.warmup import warm_up
 from persem_ros.errors import PersemError
 from persem_ros.ros.priority import stand_back

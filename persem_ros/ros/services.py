@@ -10,7 +10,7 @@ import time
 from typing import Any, TYPE_CHECKING
 
 from persem_ros.core.memory.capture import Capture
-from persem_ros.core.refine.job import refine_all
+from persem_ros.core.refine.whole import refine_all
 from persem_ros.errors import PersemError
 from persem_ros.ros.map_file import path_of
 from persem_ros.ros.priority import stand_back

@@ -5,7 +5,7 @@ from pathlib import Path
 import core_worlds as cw
 import numpy as np
 from persem_ros.cli import main
-from persem_ros.core.refine.job import refine
+from persem_ros.core.refine.whole import refine
 from persem_ros.outputs.map import store
 from persem_ros.outputs.map.cloud import map_points
 from persem_ros.outputs.map.ply import VERTEX

@@ -14,8 +14,10 @@ from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.evict import drop
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine.explain import explain
-from persem_ros.core.refine.job import begin, finish, refine
+from persem_ros.core.refine.job import finish
 from persem_ros.core.refine.regions import regions
+from persem_ros.core.refine.turns import begin
+from persem_ros.core.refine.whole import refine
 from persem_ros.frames import Camera, Frame, pinhole
 from persem_ros.settings.config import Memory, Refine
 import pytest

@@ -9,8 +9,10 @@ from persem_ros.core.memory import dump as module
 from persem_ros.core.memory.capture import dump
 from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.voxel_memory import VoxelMemory
-from persem_ros.core.refine.job import begin, finish, refine
+from persem_ros.core.refine.job import finish
 from persem_ros.core.refine.regions import regions
+from persem_ros.core.refine.turns import begin
+from persem_ros.core.refine.whole import refine
 from persem_ros.errors import PersemError
 from persem_ros.settings.config import METHODS, Refine
 import pytest

@@ -3,8 +3,9 @@
 import core_worlds as cw
 from hypothesis import given, strategies as st
 from persem_ros.core.refine.explain import explain
-from persem_ros.core.refine.job import label, refine
+from persem_ros.core.refine.labelled import label
 from persem_ros.core.refine.selection import METHODS
+from persem_ros.core.refine.whole import refine
 from persem_ros.settings.config import Config, updated
 import pytest
 import reference as ref

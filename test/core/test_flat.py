@@ -10,8 +10,11 @@ from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.evict import drop
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine import sweep
-from persem_ros.core.refine.job import (
-    abandon, at_rest, begin_next, finish, refine, SWEPT, swept)
+from persem_ros.core.refine.job import abandon, finish
+from persem_ros.core.refine.labelled import SWEPT
+from persem_ros.core.refine.rules import at_rest, swept
+from persem_ros.core.refine.turns import begin_next
+from persem_ros.core.refine.whole import refine
 from persem_ros.settings.config import Refine
 import pytest
 

@@ -9,8 +9,8 @@ from persem_ros.core.memory.capture import dump
 from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.evict import keep_near
 from persem_ros.core.memory.voxel_memory import stored_observations, VoxelMemory
-from persem_ros.core.refine.job import refine
 from persem_ros.core.refine.regions import regions
+from persem_ros.core.refine.whole import refine
 from persem_ros.settings.config import METHODS
 import reference as ref
 

@@ -18,8 +18,12 @@ from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.evict import keep_near
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine.explain import explain, quickly
-from persem_ros.core.refine.job import at_rest, begin_next, finish, label, refine
+from persem_ros.core.refine.job import finish
+from persem_ros.core.refine.labelled import label
+from persem_ros.core.refine.rules import at_rest
 from persem_ros.core.refine.snapshot import take
+from persem_ros.core.refine.turns import begin_next
+from persem_ros.core.refine.whole import refine
 from persem_ros.settings.config import Geometry, Refine
 import pytest
 

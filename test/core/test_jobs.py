@@ -14,8 +14,10 @@ from persem_ros.core.memory.capture import Capture
 from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.evict import keep_near
 from persem_ros.core.memory.voxel_memory import VoxelMemory
-from persem_ros.core.refine.job import abandon, begin, finish, refine
+from persem_ros.core.refine.job import abandon, finish
 from persem_ros.core.refine.snapshot import take
+from persem_ros.core.refine.turns import begin
+from persem_ros.core.refine.whole import refine
 from persem_ros.settings.config import METHODS, Refine
 import pytest
 import reference as ref

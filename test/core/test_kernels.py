@@ -27,7 +27,10 @@ from persem_ros.core.frame.images import points
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.frame.observe import observe
 from persem_ros.core.frame.place import measured_points, place
-from persem_ros.core.refine.job import abandon, begin, label, refine
+from persem_ros.core.refine.job import abandon
+from persem_ros.core.refine.labelled import label
+from persem_ros.core.refine.turns import begin
+from persem_ros.core.refine.whole import refine
 from persem_ros.core.refine.regions import regions
 from persem_ros.core.frame.render import filled, render, voxel_image, voxel_image_of
 from persem_ros.core.frame.smoothing import EmaImages

@@ -14,8 +14,8 @@ from persem_ros.core.geometry.parameters import estimate
 from persem_ros.core.geometry.schedule import Schedule
 from persem_ros.core.geometry.sparse import estimate_sparse
 from persem_ros.core.geometry.totals import arrays_of, sums_from, Totals
-from persem_ros.core.refine.job import refine
 from persem_ros.core.refine.reach import ASIDE, surrounded
+from persem_ros.core.refine.whole import refine
 import pytest
 from test_geometry import big_flight, flights, GEOMETRY, memory_of, SETTINGS, UPS
 

@@ -8,7 +8,8 @@ from hypothesis import assume, given, strategies as st
 import numpy as np
 from persem_ros.core import jit
 from persem_ros.core.memory.voxel_memory import VoxelMemory
-from persem_ros.core.refine.job import label, refine
+from persem_ros.core.refine.labelled import label
+from persem_ros.core.refine.whole import refine
 from persem_ros.settings.config import METHODS, Refine
 import pytest
 import reference as ref

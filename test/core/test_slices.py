@@ -7,7 +7,9 @@ from persem_ros.core.memory import growth
 from persem_ros.core.memory.capture import Capture, dump
 from persem_ros.core.memory.evict import drop, keep_near
 from persem_ros.core.memory.voxel_memory import VoxelMemory
-from persem_ros.core.refine.job import begin_next, finish, refine
+from persem_ros.core.refine.job import finish
+from persem_ros.core.refine.turns import begin_next
+from persem_ros.core.refine.whole import refine
 from persem_ros.settings.config import Refine
 from test_dump import parts
 

@@ -11,7 +11,7 @@ from persem_ros import cli
 from persem_ros.convert import images
 from persem_ros.convert.trajectories import poses_from_trajectory
 from persem_ros.core.memory.dump import load
-from persem_ros.core.refine.job import refine
+from persem_ros.core.refine.whole import refine
 from persem_ros.errors import PersemError
 from persem_ros.guard.words import sentence
 from persem_ros.inputs.decode.serialized import Decoder

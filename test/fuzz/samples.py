@@ -8,7 +8,7 @@ import bags
 import core_worlds as cw
 import cv2
 import numpy as np
-from persem_ros.core.refine.job import refine
+from persem_ros.core.refine.whole import refine
 from persem_ros.inputs.decode import (
     camera, clouds, image_messages as images, legends, messages, pose_messages)
 from persem_ros.inputs.decode.labels import LabelReader

@@ -9,7 +9,7 @@ import old_maps
 from persem_ros.cli import main
 from persem_ros.core.memory.capture import dump
 from persem_ros.core.memory.paging import Pager
-from persem_ros.core.refine.job import refine
+from persem_ros.core.refine.whole import refine
 from persem_ros.errors import PersemError
 from persem_ros.outputs.export.source import MapSource
 from persem_ros.outputs.map import store, tables

@@ -6,7 +6,9 @@ import core_worlds as cw
 import numpy as np
 from persem_ros.core.memory.capture import dump
 from persem_ros.core.memory.dump import load
-from persem_ros.core.refine.job import begin_next, finish, refine
+from persem_ros.core.refine.job import finish
+from persem_ros.core.refine.turns import begin_next
+from persem_ros.core.refine.whole import refine
 from persem_ros.errors import PersemError
 from persem_ros.outputs.map import store
 from persem_ros.outputs.map.habits import from_blob, to_blob

@@ -19,8 +19,10 @@ from persem_ros.core.geometry.method import relabel
 from persem_ros.core.memory.paging import Pager
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine.explain import explain
-from persem_ros.core.refine.job import begin_next, finish, refine, refine_all
+from persem_ros.core.refine.job import finish
 from persem_ros.core.refine.snapshot import take
+from persem_ros.core.refine.turns import begin_next
+from persem_ros.core.refine.whole import refine, refine_all
 from persem_ros.errors import PersemError
 from persem_ros.frames import Frame, pinhole
 from persem_ros.outputs.map import store

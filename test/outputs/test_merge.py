@@ -7,7 +7,7 @@ from hypothesis import assume, given, strategies as st
 import numpy as np
 from persem_ros.cli import main
 from persem_ros.core.memory.capture import dump
-from persem_ros.core.refine.job import refine
+from persem_ros.core.refine.whole import refine
 from persem_ros.errors import PersemError
 from persem_ros.outputs.map import store
 from persem_ros.outputs.map.lock import WriterLock

@@ -8,7 +8,7 @@ import numpy as np
 from persem_ros.core.memory.changes import Changes
 from persem_ros.core.memory.evict import drop
 from persem_ros.core.memory.voxel_memory import VoxelMemory
-from persem_ros.core.refine.job import refine
+from persem_ros.core.refine.whole import refine
 from persem_ros.outputs.map.cloud import map_points
 from persem_ros.outputs.map.mirror import matched, Mirror
 from persem_ros.settings.config import Map, Refine

@@ -8,7 +8,7 @@ import core_worlds as cw
 import numpy as np
 import old_maps
 from persem_ros.core.memory.capture import dump
-from persem_ros.core.refine.job import refine
+from persem_ros.core.refine.whole import refine
 from persem_ros.errors import PersemError
 from persem_ros.outputs.map import store
 from persem_ros.settings.config import Config

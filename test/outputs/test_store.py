@@ -14,7 +14,7 @@ from hypothesis import given, strategies as st
 import numpy as np
 from persem_ros.core.memory.capture import dump, Parts
 from persem_ros.core.memory.evict import keep_near
-from persem_ros.core.refine.job import refine
+from persem_ros.core.refine.whole import refine
 from persem_ros.errors import PersemError
 from persem_ros.outputs.map import store
 from persem_ros.outputs.map.rows import to_rows

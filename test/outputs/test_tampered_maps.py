@@ -6,7 +6,7 @@ import sqlite3
 
 import core_worlds as cw
 import numpy as np
-from persem_ros.core.refine.job import refine
+from persem_ros.core.refine.whole import refine
 from persem_ros.errors import PersemError
 from persem_ros.outputs.map import store
 from persem_ros.outputs.map.living import LivingMap

@@ -6,7 +6,7 @@ import core_worlds as cw
 import numpy as np
 from persem_ros.cli import main
 from persem_ros.core.memory.pools import SIDE
-from persem_ros.core.refine.job import refine
+from persem_ros.core.refine.whole import refine
 from persem_ros.outputs.export.source import MapSource
 from persem_ros.outputs.map import store
 from persem_ros.outputs.tiles.cells import EDGE, GONE, open_sides, POINT, points_of, seen_most

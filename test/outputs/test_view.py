@@ -16,7 +16,7 @@ import numpy as np
 from persem_ros.cli import main
 from persem_ros.core.memory.capture import dump
 from persem_ros.core.refine.explain import explain
-from persem_ros.core.refine.job import refine
+from persem_ros.core.refine.whole import refine
 from persem_ros.outputs.map import store
 from persem_ros.outputs.map.explanation import explanation, of_file
 from persem_ros.outputs.map.living import LivingMap

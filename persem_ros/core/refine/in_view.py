@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from persem_ros.core.memory.paging import block_numbers, longer
 from persem_ros.core.memory.pools import sparse_zeros
 from persem_ros.core.refine import snapshot
-from persem_ros.core.refine.job import labelled, number_of_ids
+from persem_ros.core.refine.labelled import labelled, number_of_ids
 from persem_ros.core.refine.regions import classify
 
 if TYPE_CHECKING:
@@ -28,9 +28,9 @@ class InView:
     Parameters
     ----------
     memory : core.memory.voxel_memory.VoxelMemory
-        With a pager, after core.refine.job.refine_all().
+        With a pager, after core.refine.whole.refine_all().
     methods : sequence of str
-        Of core.refine.job.SWEPT.
+        Of core.refine.labelled.SWEPT.
     settings : persem_ros.settings.config.Refine
 
     Attributes

@@ -13,7 +13,7 @@ from persem_ros.core import jit
 from persem_ros.core.frame.images import counted, on_depth
 from persem_ros.core.frame.smoothing import EmaImages
 from persem_ros.core.refine import snapshot
-from persem_ros.core.refine.job import labelled
+from persem_ros.core.refine.labelled import labelled
 from persem_ros.core.refine.regions import regions
 from persem_ros.core.warmup import warm_up
 from persem_ros.evaluate.measure.classes import Classes

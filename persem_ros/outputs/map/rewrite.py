@@ -7,7 +7,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 from persem_ros.core.memory.voxel_memory import VoxelMemory
-from persem_ros.core.refine.job import refine
+from persem_ros.core.refine.whole import refine
 from persem_ros.outputs.map import store
 from persem_ros.outputs.map.lock import WriterLock
 
