@@ -2,11 +2,8 @@
 
 from collections.abc import Callable
 import logging
-import os
 from pathlib import Path
-import tempfile
 import threading
-import time
 from typing import Any, NamedTuple
 
 from persem_ros.core.memory.capture import dump
@@ -16,6 +13,8 @@ from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.errors import PersemError
 from persem_ros.outputs.map import store
 from persem_ros.outputs.map.living import LivingMap
+from persem_ros.ros.map_path import (
+    identity, not_writable, path_of, second_name, take_back, unusable)
 from persem_ros.settings.config import Config
 from persem_ros.settings.legend import Legend
 
@@ -25,7 +24,7 @@ log = logging.getLogger(__name__)
 class _Held(NamedTuple):
     """A file whose content is part of a map."""
 
-    file: tuple[int, ...]       # which one, by _identity
+    file: tuple[int, ...]       # which one, by identity
     memory: VoxelMemory
     forgotten: int              # voxels that the map had let go by then
 
@@ -93,7 +92,7 @@ class MapFile:
             return None
         path = path_of(config)
         self._detach()
-        aside = _second_name(path)
+        aside = second_name(path)
         path.unlink(missing_ok=True)
         log.warning('%s is now %s; an empty map begins', path, aside)
         return self._attach(config)
@@ -132,7 +131,7 @@ class MapFile:
     def load(self, config: Config) -> VoxelMemory:
         """Return the memory of map.path, in a new session."""
         path = path_of(config)
-        file = _identity(path)
+        file = identity(path)
         stored = store.load(path)
         memory = stored.memory(config)
         memory.new_session()
@@ -160,14 +159,14 @@ class MapFile:
             if not len(saved.cell):
                 keeps = f', {path} stays as it is' if path.exists() else ''
                 raise PersemError(f'the map is empty, nothing was saved{keeps}')
-            aside = None if self._contains(path, memory, forgotten) else _second_name(path)
+            aside = None if self._contains(path, memory, forgotten) else second_name(path)
             try:
                 store.save(path, saved, config, self._legend())
             except BaseException:
                 if aside is not None:
-                    _take_back(aside, path)
+                    take_back(aside, path)
                 raise
-            file = _identity(path)
+            file = identity(path)
             if file is not None:
                 self._held[path] = _Held(file, memory, forgotten)
         kept = f'; what was there is now {aside}' if aside is not None else ''
@@ -206,88 +205,13 @@ class MapFile:
 
     def _contains(self, path: Path, memory: VoxelMemory, forgotten: int) -> bool:
         """Whether nothing is lost when *memory* takes the place of the file *path*."""
-        file = _identity(path)
+        file = identity(path)
         held = self._held.get(path)
         return file is None or held is not None and held.file == file \
             and held.memory is memory and held.forgotten == forgotten
-
-
-def path_of(config: Config) -> Path:
-    """Return the absolute path of map.path; refuse an empty one."""
-    if not config.map.path:
-        raise PersemError('map.path is empty; name a file: ros2 param set <node> map.path '
-                          '/absolute/path/map.persem')
-    return Path(config.map.path).expanduser().absolute()
-
-
-def unusable(config: Config) -> str:
-    """Return why map.save could not be done at the end, '' where it can."""
-    if not config.map.save:
-        return ''
-    if not config.map.path:
-        return 'map.save needs a file: --set map.path=/absolute/path/map.persem'
-    problem = not_writable(path_of(config))
-    return f'{problem}; map.save needs a file that can be written: --set map.path=' \
-           '/absolute/path/map.persem' if problem else ''
-
-
-def not_writable(path: Path) -> str:
-    """Return why a file could not be written, '' where it can be; nothing is left behind."""
-    if path.is_dir():
-        return f'{path} is a folder'
-    folder = path.parent
-    while not os.path.lexists(folder):
-        folder = folder.parent
-    if not folder.is_dir():
-        return f'{path} cannot be written: {folder} is not a folder'
-    try:
-        with tempfile.TemporaryFile(dir=folder):
-            return ''
-    except OSError as error:
-        return f'{path} cannot be written ({folder}: {error.strerror or error})'
-
-
-def _identity(path: Path) -> tuple[int, ...] | None:
-    """Return which file *path* is and in which state, None where there is none."""
-    try:
-        found = os.stat(path)
-    except OSError:
-        return None
-    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
 
 
 def _shortened(saved: Any, max_history: int) -> bool:
     """Whether a map that goes on with *max_history* lets go of observations that are stored."""
     stored = saved.history_start[1:] - saved.history_start[:-1]
     return bool(max_history and len(stored) and stored.max() > max_history)
-
-
-def _second_name(path: Path) -> Path:
-    """
-    Give the file *path* a second name with the date; return it.
-
-    The file keeps its own name until another takes it, so that it is never without one.
-
-    """
-    name = f'{path.name}.{time.strftime("%Y-%m-%dT%H-%M-%S")}'
-    aside, number = path.with_name(name), 1
-    while os.path.lexists(aside):
-        number += 1
-        aside = path.with_name(f'{name}_{number}')
-    try:
-        try:
-            os.link(path, aside)
-        except OSError:         # a file system without second names
-            os.rename(path, aside)
-    except OSError as error:
-        raise PersemError(f'{path} cannot be moved aside to {aside.name} '
-                          f'({error.strerror or error}); nothing was saved') from error
-    return aside
-
-
-def _take_back(aside: Path, path: Path) -> None:
-    """Undo `_second_name`."""
-    if path.exists():
-        aside.unlink()
-    else:
-        os.rename(aside, path)

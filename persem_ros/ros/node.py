@@ -23,7 +23,8 @@ from persem_ros.ros.first_look import FirstLook
 from persem_ros.ros.grid import GridOutputs
 from persem_ros.ros.images import ImageOutputs
 from persem_ros.ros.inbox import Inbox
-from persem_ros.ros.inputs import check_topics, Inputs
+from persem_ros.ros.input_list import check_topics
+from persem_ros.ros.inputs import Inputs
 from persem_ros.ros.losses import Losses
 from persem_ros.ros.map import MapOutputs
 from persem_ros.ros.map_file import MapFile

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, TYPE_CHECKING
 
 from persem_ros.errors import PersemError
-from persem_ros.ros.map_file import unusable
+from persem_ros.ros.map_path import unusable
 from persem_ros.ros.wording import as_ros
 from persem_ros.settings.config import nearest, settings, topics_of, updated
 from persem_ros.settings.config_file import comment, from_values, NODE_DEFAULTS, span

@@ -12,7 +12,7 @@ from typing import Any, TYPE_CHECKING
 from persem_ros.core.memory.capture import Capture
 from persem_ros.core.refine.whole import refine_all
 from persem_ros.errors import PersemError
-from persem_ros.ros.map_file import path_of
+from persem_ros.ros.map_path import path_of
 from persem_ros.ros.priority import stand_back
 from persem_ros.ros.wording import as_ros
 from rclpy.callback_groups import ReentrantCallbackGroup

@@ -2,32 +2,30 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import Future
 import ctypes
 import logging
-import queue
 import threading
 import time
-from typing import Any, TYPE_CHECKING, TypeVar
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.frame.render import render_map
 from persem_ros.core.jit import Announcement
-from persem_ros.core.memory.evict import keep_near
 from persem_ros.core.warmup import warm_up
 from persem_ros.errors import PersemError
 from persem_ros.inputs.decode.serialized import Decoder
 from persem_ros.inputs.intake import LEGEND, TF, TRAJECTORY
-from persem_ros.inputs.live import BEHIND
-from persem_ros.inputs.sync.pairing import DEPTH, NO_DEPTH, QUEUE_FULL
 from persem_ros.inputs.sync.poses import PoseBuffer
 from persem_ros.pipeline import Pipeline
+from persem_ros.ros.calls import Answer, Calls
 from persem_ros.ros.checkpoints import CANNOT, Checkpoints
+from persem_ros.ros.complaints import Complaints
+from persem_ros.ros.forgetting import Forgetting
 from persem_ros.ros.images import NO_SOURCE
-from persem_ros.ros.losses import remedy
+from persem_ros.ros.map_schedule import ALL, MapSchedule
 from persem_ros.ros.mover import Mover
 from persem_ros.ros.refiner import Refiner
 from persem_ros.settings.heights import hinted
@@ -46,18 +44,9 @@ if TYPE_CHECKING:
     from persem_ros.settings.config import Config
     from persem_ros.settings.legend import Legend
 
-Answer = TypeVar('Answer')
-Call = tuple[Future[Any], Callable[..., Any], tuple[Any, ...]]
-
 log = logging.getLogger(__name__)
 TICK = 0.05             # s between two looks at frames that wait for what does not come
-TRIM = 0.5              # s between two looks at what is too far away
-AT_ONCE = 20_000        # voxels that are forgotten between two frames
-THROTTLE = 5.0          # s between two warnings for one reason
-NOT_READY = 'came before the node was ready'
-LOOK = 0.1              # s between two looks at who listens to the map
 JUMP = 0.3              # m that a localisation goes at once where it jumps, or voxels if larger
-CHANGES = 1.0           # s after which changes are told however busy the node is
 
 
 class _Stopped(BaseException):
@@ -102,16 +91,9 @@ class Worker(threading.Thread):
         self._watch_jumps = not config.topics.trajectory
         # Gives the memory of an empty map, None: any.
         self.renew: Callable[[], VoxelMemory | None] = lambda: None
-        self._calls: queue.SimpleQueue[Call] = queue.SimpleQueue()
+        self._calls, self._forgetting = Calls(self._wake), Forgetting()
         self._ending = False
-        self._mapped = self._trimmed = self._looked = self._changed = time.monotonic()
-        # What the map's topics have not shown yet: 'map', 'changes'.
-        self._stale: set[str] = set()
         self._unrefined = memory is not None    # whether a full refinement would find anything
-        self._shown = False         # an empty map is shown only after one that was not
-        self._stamp = 0             # of the last frame
-        self._warned: dict[str, float] = {}         # by reason: when
-        self._reported: Counter[str] = Counter()    # drops that were warned of
 
     def connect(self, inbox: Inbox, intake: LiveIntake, images: dict[str, ImageOutputs],
                 maps: MapOutputs, inputs: list[Input], first_look: FirstLook) -> None:
@@ -136,6 +118,8 @@ class Worker(threading.Thread):
         """
         self.inbox, self.intake, self.images, self.map = inbox, intake, images, maps
         self.inputs, self.first_look = inputs, first_look
+        self._complaints = Complaints(self.statistics, intake, inputs)
+        self._schedule = MapSchedule(maps)
         self._hint()
 
     @property
@@ -150,17 +134,11 @@ class Worker(threading.Thread):
 
     def call(self, function: Callable[..., Answer], *arguments: Any) -> Future[Answer]:
         """Have the worker call function(*arguments) between two frames."""
-        future: Future[Answer] = Future()
-        if self._ending:
-            future.set_exception(PersemError('the node is shutting down'))
-        else:
-            self._calls.put((future, function, arguments))
-            self._wake()
-        return future
+        return self._calls.ask(function, *arguments)
 
     def stop(self) -> None:
         """End the thread after the frame that it is at."""
-        self._ending = True
+        self._ending = self._calls.closed = True
         self._wake()
         while self.is_alive() and not self.ready.is_set():      # compiling takes a minute
             assert self.ident is not None       # it is alive
@@ -169,8 +147,7 @@ class Worker(threading.Thread):
             self.join(0.1)
         if self.ident is not None:
             self.join()
-        while not self._calls.empty():
-            self._calls.get()[0].set_exception(PersemError('the node is shutting down'))
+        self._calls.refuse()
         self.refiner.close()
         self.checkpoints.close()
         self.mover.close()
@@ -213,7 +190,7 @@ class Worker(threading.Thread):
             self.map.publish_legend()
         self.pipeline = Pipeline(self.config, memory)
         self._keep_all()
-        self._stale = {'map', 'changes'}
+        self._schedule.stale |= ALL
         self._unrefined = memory is not None
 
     def reset(self) -> int:
@@ -230,7 +207,7 @@ class Worker(threading.Thread):
 
     def refined(self) -> None:
         """Show the map anew: labels have changed."""
-        self._stale |= {'map', 'changes'}
+        self._schedule.stale |= ALL
 
     def jumped(self) -> None:
         """Time went back: a new session begins, or a new map."""
@@ -242,35 +219,9 @@ class Worker(threading.Thread):
                     'and poses are cleared, the map is %s (map.on_time_jump)',
                     'reset' if self.config.map.on_time_jump == 'reset' else 'kept')
 
-    def complain(self, reason: str, sentence: str) -> None:
-        """Log a warning, once in a while for each reason."""
-        self.statistics.error = sentence
-        now = time.monotonic()
-        if now - self._warned.get(reason, -THROTTLE) >= THROTTLE:
-            self._warned[reason] = now
-            log.warning('%s (%d so far)', sentence, self.statistics.dropped[reason])
-
     def lost(self, item: Item) -> None:
         """Count a message that the inbox had no room for; from any thread."""
-        self.call(self._lost, item, self.ready.is_set())
-
-    def _lost(self, item: Item, ready: bool) -> None:
-        if not ready:
-            self.statistics.dropped[NOT_READY] += 1
-            self.complain(NOT_READY, f'{item.input.listened}: images came while kernels were '
-                          'compiled or loaded, the oldest are dropped')
-            return
-        reason = QUEUE_FULL if item.input.role == 'labels' else f'{item.input.role}: {QUEUE_FULL}'
-        self.statistics.dropped[reason] += 1
-        self.complain(reason, f'{item.input.listened}: images come faster than they are mapped, '
-                      'the oldest are dropped; a larger memory.stride or memory.voxel_size is '
-                      'faster')
-
-    @property
-    def _position(self) -> NDArray[np.float64]:
-        """Return where the camera was last, metres in the map frame."""
-        frames = self.memory.frames
-        return frames[-1].T_map_sensor[:3, 3] if frames else np.array(self.memory.origin)
+        self.call(self._complaints.lost, item, self.ready.is_set())
 
     def _wake(self) -> None:
         self.inbox.wake()
@@ -283,8 +234,7 @@ class Worker(threading.Thread):
             if self._ending:
                 return
             reason = f'internal error: {type(error).__name__}'
-            self.statistics.dropped[reason] += 1
-            self.complain(reason, f'{reason}: {error}')
+            self._complaints.drop(reason, f'{reason}: {error}')
             log.debug('traceback', exc_info=True)
 
     def _step(self, item: Item | None) -> None:
@@ -297,11 +247,10 @@ class Worker(threading.Thread):
             self._frame(frame, now)
         if self.intake.behind:
             self._skip()
-        self._report(item)
-        while not self._calls.empty():
-            self._answer(*self._calls.get())
+        self._complaints.report(item)
+        self._calls.answer()
         if self.refiner.finish(self.memory):
-            self._stale |= {'map', 'changes'}
+            self._schedule.stale |= ALL
         self._move()
         self._forget_far()
         if self.memory.pager is not None:
@@ -309,7 +258,7 @@ class Worker(threading.Thread):
                                   self.config.memory.max_voxels)
         if self.refiner.begin(self.memory, self.config.refine, self._unrefined):
             self._unrefined = False
-        self._publish_map()
+        self._schedule.step(self.memory, self.config.map, self.inbox.bytes > 0)
 
     def _skip(self) -> None:
         """Go on with the newest label image that waits: those before it are old."""
@@ -322,7 +271,8 @@ class Worker(threading.Thread):
         if moved is not None:
             self.replaced(self.memory, moved)
             self.pipeline = Pipeline(self.config, moved)
-            self._stale, self._unrefined = {'map', 'changes'}, True
+            self._schedule.stale |= ALL
+            self._unrefined = True
 
     def _keep_all(self) -> None:
         """Drop no observation where a corrected trajectory may have to move it."""
@@ -361,8 +311,7 @@ class Worker(threading.Thread):
         try:
             observations = None if self.paused else self.pipeline.add(frame)
         except PersemError as error:
-            self.statistics.dropped['frame refused'] += 1
-            self.complain('frame refused', f'a frame was dropped: {error}')
+            self._complaints.drop('frame refused', f'a frame was dropped: {error}')
             return
         outputs = self.images[frame.sensor]
         wanted = outputs.wanted()
@@ -371,7 +320,7 @@ class Worker(threading.Thread):
             outputs.publish(wanted, frame, labels, lambda: self._sources(frame, observations))
         if observations is not None:
             self.mover.note(observations)
-            self._stale.add('map')
+            self._schedule.stale.add('map')
             self._unrefined = True
         self.statistics.frame((time.monotonic_ns() - now) / 1e9)
 
@@ -382,109 +331,17 @@ class Worker(threading.Thread):
             0 < 2 * bound < self.memory.n_voxels
 
     def _forget_far(self) -> None:
-        """Keep the map within memory.keep_radius and memory.max_voxels, between refinements."""
-        bounds = self.config.memory
+        """Keep the map within its bounds, between refinements."""
         # What ~/refine visits in an attached map is far away, and leaves when it was visited.
-        if self.refiner.busy or self.refiner.held or not self.memory.frames or \
-                not (bounds.max_voxels or bounds.keep_radius) or \
-                time.monotonic() - self._trimmed < TRIM:
+        if self.refiner.busy or self.refiner.held:
             return
-        if self.memory.pager is not None:
-            self._trimmed = time.monotonic() - TRIM * (0 < self.memory.pager.let_go(
-                self._position, bounds.max_voxels, bounds.keep_radius, AT_ONCE))
-            return
-        x, y, z = self._position.tolist()
-        gone = keep_near(self.memory, (x, y, z), bounds.keep_radius, bounds.max_voxels,
-                         AT_ONCE)
-        if not gone:
-            self._trimmed = time.monotonic()
-        else:
+        gone = self._forgetting.step(self.memory, self.config.memory)
+        if gone:
             self.statistics.forgotten += gone
-            self._stale |= {'map', 'changes'}
+            self._schedule.stale |= ALL
 
     def _sources(self, frame: Frame, observations: Observations | None) -> NDArray[np.uint8]:
         """Return which step decided each pixel of the depth grid."""
         voxels = self.pipeline.voxel_image(frame, observations)
         image = render_map(self.memory, voxels, source=True)
         return np.where(voxels < 0, NO_SOURCE, image).astype(np.uint8)
-
-    def _answer(self, future: Future[Any], function: Callable[..., Any],
-                arguments: tuple[Any, ...]) -> None:
-        try:
-            future.set_result(function(*arguments))
-        except Exception as error:      # noqa: B902  for whoever asked
-            future.set_exception(error)
-
-    def _report(self, item: Item | None) -> None:
-        """Warn of what was dropped since the last time."""
-        dropped = self.statistics.losses()
-        if dropped.total() == self._reported.total():
-            return
-        self.intake.explain()
-        for reason in dropped - self._reported:
-            if not reason.startswith('internal') and reason != 'frame refused':
-                self._warn(reason, item)
-        self._reported = dropped
-
-    def _warn(self, reason: str, item: Item | None) -> None:
-        """Warn of messages dropped for a reason; *item* came last."""
-        role = reason.partition(':')[0] if ':' in reason else 'labels'
-        names = [one.listened for one in self.inputs if one.role == role] or [role]
-        stamp = item.input.stamp_of(item.data) if item is not None else None
-        at = '' if stamp is None else f' near {stamp / 1e9:.3f} s'
-        example = self._overloaded() if reason == BEHIND else \
-            self.intake.examples.get(reason, '')
-        if reason == NO_DEPTH:
-            example += self._lost_depth()
-        self.complain(reason, f'{names[0]}{at}: dropped, {reason}'
-                      + (f'; {example}' if example and example != reason else ''))
-
-    def _overloaded(self) -> str:
-        """Return what to do where frames come faster than they are mapped."""
-        return (f'frames come faster than they are mapped ({self.statistics.frame_rate():.1f} Hz '
-                'now), those that waited for long are left out so that images and map stay '
-                'young; --set memory.stride=2 or a larger memory.voxel_size makes a frame cheaper')
-
-    def _lost_depth(self) -> str:
-        """Return what the numbers of label and depth images say, '' where they are equal."""
-        few = self.intake.few_depths()
-        depth = next((one for one in self.inputs if one.role == DEPTH and one.subscriptions), None)
-        if few is None or depth is None:
-            return ''
-        return (f'; {few[0]} depth images came for {few[1]} label images, the others were lost '
-                f'on the way: {remedy(depth)}')
-
-    def _publish_map(self) -> None:
-        """Hand the map to its publishers when somebody listens and it is time."""
-        now = time.monotonic()
-        if self.map.busy or now - self._looked < LOOK:
-            return
-        self._looked = now
-        wanted, new = self.map.wanted()
-        if not wanted:
-            self.map.forget()
-            return
-        self._stale |= new
-        if self.map.waiting:
-            self._stale.add('changes')
-        due = wanted & self._stale
-        rate = self.config.map.rate
-        if not rate or now - self._mapped < 1.0 / rate:
-            due.discard('map')
-        if self.inbox.bytes and now - self._changed < CHANGES:      # nothing is late for them
-            due.discard('changes')
-        if not due and self.map.whole or not self.memory.n_voxels and not self._shown:
-            return
-        if self.memory.frames:
-            self._stamp = self.memory.frames[-1].stamp
-        due = self.map.publish(due, 'changes' in new, self.memory, self._stamp, self._position,
-                               self.config.map)
-        if 'map' in due:
-            self._mapped = now
-        if 'changes' in due:
-            self._changed = now
-        self._shown = True
-        if self.map.caught_up:
-            self._stale -= due
-        if not self.map.whole:
-            self._stale.add('changes')
