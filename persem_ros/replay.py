@@ -11,7 +11,7 @@ from typing import Any, Protocol, TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.ahead import read_ahead, WriteBehind
-from persem_ros.core.jit import Announcement
+from persem_ros.core.jit import Announcement, give_back
 from persem_ros.core.refine.labelled import SWEPT
 from persem_ros.core.refine.regions import region_image
 from persem_ros.core.warmup import warm_up
@@ -201,6 +201,7 @@ class Replay:
     def _check_map(self) -> None:
         """Refuse a recording of which nothing went into the map; log what its voxels are like."""
         memory = self.pipeline.memory
+        give_back()
         self.mapped.settle()
         if memory.n_observations == self._before:
             raise PersemError(f'{self.recording.name}: nothing went into the map, '
@@ -249,10 +250,12 @@ class Replay:
         with self.watch('write map'):
             write_text(self.folder / 'config.yaml', config_file.to_yaml(self.config))
             self.mapped.write(self.folder)
+        give_back()
 
     def _finish(self) -> dict[str, Any]:
         """Write metrics.json and timing.json; tell the watchers; log what a user should know."""
         memory = self.pipeline.memory
+        give_back()
         result = {'frames': {'used': self.frames, 'dropped': dict(self.recording.dropped)},
                   'voxels': self.mapped.n_voxels, 'observations': memory.n_observations,
                   **self.metrics.result()}

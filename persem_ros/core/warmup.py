@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import replace
 import functools
 import gc
@@ -168,7 +168,8 @@ def _refined(memory: VoxelMemory) -> None:
     hide_gone(0, 0, memory.m.voxels, voxel_image(memory, seen, shape).reshape(-1))
     region_image(codes, voxel_image(memory, seen, shape))
     render_map(memory, voxel_image(memory, seen, shape), source=True)
-    Changes().take(memory)
+    with closing(Changes()) as viewer:      # else the two hold each other, frozen: 28 MB
+        viewer.take(memory)
     block_numbers(memory, np.zeros((1, 3), np.int32))
     pixels = place(measured(frame, Memory()), frame.T_map_camera, memory.voxel_size, memory.origin)
     filled(render(voxel_image_of(memory, *pixels, shape), labelled), frame.labels, Memory())

@@ -4,6 +4,7 @@ from io import BytesIO
 import shutil
 import sqlite3
 import struct
+import tracemalloc
 
 import bags
 import numpy as np
@@ -340,6 +341,19 @@ def test_a_long_recording_whose_heads_are_not_kept(tmp_path, storage, compress, 
     monkeypatch.setattr('persem_ros.inputs.recording.source.REMEMBERED', 3)
     path = bags.write(tmp_path / 'bag', storage=storage, compress=compress)
     assert read(path) == (stamps(*range(5)), [])
+
+
+def test_what_was_read_of_an_uncompressed_recording_is_not_kept(tmp_path):
+    noise = np.random.default_rng(1).integers(0, 256, (1024, 1024), np.uint8)
+    path = bags.write(tmp_path / 'bag', extra=lambda out: [
+        out.image('noise', bags.stamp(9 + i), '', noise, 'mono8') for i in range(8)])
+    with Source(path) as source:
+        tracemalloc.start()
+        try:
+            assert sum(name == '/noise' for name, *_ in source.messages({'/noise'})) == 8
+            assert tracemalloc.get_traced_memory()[0] < 2 * noise.nbytes
+        finally:
+            tracemalloc.stop()
 
 
 def test_a_folder_of_git_lfs_pointers_says_so(tmp_path):

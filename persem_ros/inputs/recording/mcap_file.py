@@ -28,7 +28,7 @@ PREFIX = 22                 # bytes of a message record before its data
 RECORD = struct.Struct('<BQ')
 MESSAGE_HEAD = struct.Struct('<HIQQ')
 ALONE = (1 << 23) - 1       # in a place: a message outside of all chunks
-KEPT = 64 << 20             # bytes of decompressed chunks that are kept
+KEPT = 64 << 20             # bytes of chunks that are kept: compressed ones, and damaged ends
 PEEK = 1 << 14              # bytes that are read at once where only heads are wanted
 
 
@@ -190,6 +190,8 @@ class McapFile:
             self._bad.add(k)
             self._note(str(error) if isinstance(error, packing.TooLarge) else 'damaged inside')
             return b''
+        if not chunk.compression and k in self._good:   # read() takes single messages from now on
+            return content
         self._cache[k] = content
         kept = sum(map(len, self._cache.values()))
         while kept > KEPT and len(self._cache) > 2:
