@@ -94,6 +94,10 @@ ROWS = {
     'sizes that are': ('inputs/test_camera.py', 'test_sizes_are_rounded_but_ratios_are_not'),
     'a confidence image of the': (SENSORS, 'test_a_confident_minority_wins'),
     'names as `vision': ('inputs/test_names.py', 'test_tables_of_every_form'),
+    'such names, and `labels.legend` gives': (
+        'inputs/test_naming.py', 'test_ids_that_move_and_names_without'),
+    'such names, and `labels.legend` calls': (
+        'inputs/test_naming.py', 'test_names_that_differ_alone'),
     'names that cannot': (SENSORS, 'test_a_table_that_cannot_be_read'),
     'poses that were corrected': (
         'replay/test_trajectory.py', 'test_corrected_is_as_if_recorded_right'),

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+import logging
 import time
 from typing import NamedTuple, TYPE_CHECKING
 
 from persem_ros.inputs.decode import messages, px4
 from persem_ros.inputs.decode.messages import BadMessage
-from persem_ros.inputs.intake import Intake, POSE, Station
+from persem_ros.inputs.intake import Intake, LEGEND, POSE, Station
 from persem_ros.inputs.sync.backlog import Backlog
 from persem_ros.inputs.sync.clocks import ANOTHER_CLOCK, Clocks
 from persem_ros.inputs.sync.pairing import DEPTH, KEEP, LABELS, NO_DEPTH, QUEUE_FULL, WENT_BACK
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from persem_ros.inputs.sync.poses import PoseBuffer
     from persem_ros.settings.config import Config, Sync
 
+log = logging.getLogger(__name__)
 STALE = 'from before time went back'
 BEHIND = 'mapping is behind'
 TIES = 2_000_000_000    # ns, twice as long as labels wait for what ties them to the depth
@@ -79,6 +81,7 @@ class LiveIntake(Intake):
         self.jumps = 0
         self._clock, self._steady = clock, steady
         self._backlog = Backlog()
+        self._said = ''     # how names and the given legend differ
         self.behind = False     # whether a frame was dropped because it had waited for long
         # When two frames were asked for first.
         self._untied: dict[tuple[str, str], int] = {}
@@ -115,6 +118,9 @@ class LiveIntake(Intake):
         """Take one message, as in Intake; notices when time goes back."""
         if role not in TIMED:
             super().take(role, taker, kind, now, data)
+            if role == LEGEND and self.names.difference() not in ('', self._said):
+                self._said = self.names.difference()
+                log.warning('%s', self._said)
             return
         try:
             stamp = _stamp(kind, data)

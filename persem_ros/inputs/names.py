@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.frames import IGNORED, MAX_ID, UNKNOWN
 from persem_ros.inputs.decode.legends import Table
+from persem_ros.inputs.naming import difference
 from persem_ros.settings.config import Config
 from persem_ros.settings.legend import Legend, LegendClass
 
@@ -62,6 +63,8 @@ class Names:
         """Start without tables."""
         self.legend = legend or Legend()
         self._given, self._strict = bool(legend and legend.classes), strict
+        self._whose = 'labels.legend' if config.labels.legend else "the map's legend"
+        self._said = ''
         self._reserved = {*config.memory.ignore_labels, *config.memory.dynamic_labels, UNKNOWN}
         self._ignored = {*config.memory.ignore_labels, UNKNOWN}
         self._stamped: list[_Known] = []        # by stamp
@@ -75,7 +78,11 @@ class Names:
         at = len(tables) if stamp is None else bisect_right(tables, stamp, key=_stamp)
         if at and tables[at - 1].table.legend == table.legend:
             return
+        first, given = self._given and not (self._stamped or self._arrived), self.legend
         tables.insert(at, _Known(table, *self._renamed(table.legend)))
+        if first and not self._strict:
+            self._said = difference(given, table.legend, tables[at].ids, self._ignored,
+                                    self._whose)
         if len(tables) > KEPT:
             del tables[0]
             self._gone += stamp is None
@@ -129,6 +136,10 @@ class Names:
         if self._last is None or self._last[0] is not known:
             self._last = known, known.new()
         return known.table.legend, self._last[1]
+
+    def difference(self) -> str:
+        """Return how the first table and the given legend differ, '' where they do not."""
+        return self._said
 
     def moved(self) -> dict[str, tuple[int, int]]:
         """Return {name: (id where it came from, the map's)} of classes whose ids differ."""

@@ -17,7 +17,7 @@ from persem_ros.inputs.sync.pairing import (
 from persem_ros.inputs.sync.poses import PoseBuffer
 from persem_ros.ros.messages import DisparityImage, INSTALL, LabelInfo, VehicleOdometry
 from persem_ros.ros.topic import Input, MessageClass, TF_STATIC
-from persem_ros.settings.config import Labels, Topics, topics_of
+from persem_ros.settings.config import Labels, NO_TABLE, Topics, topics_of
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
@@ -118,6 +118,8 @@ class InputList:
 
     def _add_legend(self, config: Config) -> None:
         """Listen to tables of class names where labels.topic says, or beside the labels."""
+        if config.labels.topic == NO_TABLE:
+            return
         kinds = [String, LabelInfo] if LabelInfo else [String]
         one = self._add(LEGEND, config.labels.topic, [None], kinds, 'auto', 10)
         if LabelInfo and config.labels.topic == Labels().topic:

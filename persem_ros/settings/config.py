@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 METHODS = ('majority', 'unweighted', 'recency', 'consensus', 'probabilistic',
            'trust', 'context', 'history', 'context_history', 'persem', 'geometry')
 IMAGE_METHODS = ('raw2d', 'ema2d')
+NO_TABLE = 'none'       # of labels.topic
 QOS = ('auto', 'best_effort', 'reliable', 'latched')
 ONE: dict[type, str] = {float: 'a number', int: 'a whole number', bool: 'true or false',
                         str: 'text'}
@@ -401,7 +402,8 @@ class Labels:
         "empty: the recording's own, else made-up colours", live=False)
     topic: str = setting(
         'semantic/legend', 'names of the classes: YAML or JSON text (String), or '
-        'vision_msgs/LabelInfo, latched or not; ids follow their names when it changes',
+        'vision_msgs/LabelInfo, latched or not; ids follow their names when it changes; none: '
+        'no names are read, ids stay as they are',
         live=False)
     channel: str = setting(
         '', 'how colour images hold ids: in one channel, r, g, b or a, or as the colours of the '

@@ -108,6 +108,8 @@ class Recording:
             self.given_legend = load_legend(config.labels.legend) if config.labels.legend else None
             self.strict = False
             self.names = names.filled(config, self.given_legend, self._latched.tables)
+            if said := self.names.difference():
+                self.note('names', said)
         except BaseException:
             self.close()
             raise

@@ -12,7 +12,7 @@ from typing import Any, TYPE_CHECKING
 from persem_ros.errors import PersemError
 from persem_ros.inputs.decode import clouds, image_messages, legends, messages, pose_messages, px4
 from persem_ros.inputs.decode.messages import BadMessage
-from persem_ros.settings.config import Topics, topics_of
+from persem_ros.settings.config import NO_TABLE, Topics, topics_of
 
 if TYPE_CHECKING:
     from persem_ros.inputs.recording.source import Source, TopicInfo
@@ -306,6 +306,8 @@ def roles_of(config: Config, topics: Topics) -> dict[str, str]:
 
 def _legends(topics: list[TopicInfo], wanted: str) -> list[TopicInfo]:
     """Return the topic with class names, [] where there is none: one, for two may contradict."""
+    if wanted == NO_TABLE:
+        return []
     fitting = [t for t in topics if t.msgtype in legends.TYPES]
     ways: tuple[Callable[[TopicInfo], bool], ...] = (
             lambda t: t.name.strip('/') == wanted.strip('/'),
