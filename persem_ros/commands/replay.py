@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from persem_ros.frames import Frame
+    from persem_ros.passes import Replay, Watcher
     from persem_ros.rendering import Rendering
-    from persem_ros.replay import Replay, Watcher
 
 
 def add_parser(subparsers: _SubParsersAction[Any]) -> None:

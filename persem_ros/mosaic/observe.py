@@ -13,12 +13,12 @@ from persem_ros.core import jit
 from persem_ros.core.memory.capture import dump
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.warmup import warm_up
+from persem_ros.inputs.recording.corrected import correct_all
 from persem_ros.inputs.recording.recording import Recording
 from persem_ros.mosaic.plan import Input, tiles_of
 from persem_ros.outputs.map import store
 from persem_ros.pipeline import Pipeline
 from persem_ros.preflight.emptiness import Emptiness
-from persem_ros.replay import correct_poses
 from persem_ros.settings.config import Config, updated
 
 
@@ -71,7 +71,7 @@ def observe(task: Observing, tick: Callable[..., Any] | None = None) -> dict[str
     with Recording(task.of.path, task.of.config) as recording:
         if task.of.names.classes:
             recording.go_on(task.of.names)
-        correct_poses([recording], None)
+        correct_all([recording], None)
         frames = recording.frames()
         for frame in read_ahead(frames) if jit.threads() > 1 else frames:
             pipeline.add(frame)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from persem_ros.choices import chosen_legend
 from persem_ros.core.memory.pools import SIDE
 from persem_ros.errors import PersemError
 from persem_ros.evaluate.work.manifest import source_hash
@@ -18,7 +19,6 @@ from persem_ros.inputs.recording.recording import Recording
 from persem_ros.outputs.results import rundir
 from persem_ros.preflight.files import as_one
 from persem_ros.preflight.look import opened
-from persem_ros.replay import chosen_legend
 from persem_ros.settings import config_file
 from persem_ros.settings.config import Config
 from persem_ros.settings.heights import hinted

@@ -1,6 +1,6 @@
 """All checks over one sample, and the one way in for whoever maps a recording."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 import logging
 from pathlib import Path
 from shlex import quote
@@ -13,7 +13,7 @@ from persem_ros.inputs.recording.source import Source
 from persem_ros.inputs.recording.topics import Choice
 from persem_ros.preflight import (
     confidence, depth, frames, labels, lag, poses, recorded, stamps)
-from persem_ros.preflight.files import cut
+from persem_ros.preflight.files import as_one, cut
 from persem_ros.preflight.findings import Finding, NOTE, of_severity, REFUSE, WARN
 from persem_ros.preflight.sample import Sample
 from persem_ros.settings import config_file
@@ -106,6 +106,24 @@ def opened(path: str | Path, config: Config, quiet: bool = False,
     except BaseException:
         source.close()
         raise
+
+
+def opened_all(paths: Sequence[str | Path], config: Config,
+               excerpt: Excerpt = WHOLE) -> list[Recording]:
+    """Return the open recordings of some inputs; what is decided for one holds for the next."""
+    recordings: list[Recording] = []
+    try:
+        for path in paths:
+            recordings.append(opened(path, config, excerpt=excerpt))
+            config = recordings[-1].config
+    except BaseException as error:
+        for recording in recordings:
+            recording.close()
+        if isinstance(error, PersemError) and (
+                sentence := as_one(paths, config) if len(paths) > 1 else ''):
+            raise PersemError(f'{error}; {sentence}') from None
+        raise
+    return recordings
 
 
 def _say_of_files(recording: Recording) -> None:

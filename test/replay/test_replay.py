@@ -15,7 +15,7 @@ import termios
 
 import bags
 import numpy as np
-from persem_ros import replay as replay_module
+from persem_ros import passes, replay as replay_module
 from persem_ros.cli import main
 from persem_ros.core import jit
 from persem_ros.errors import PersemError
@@ -590,13 +590,13 @@ def everything(terminal):
 
 
 def test_bars_on_a_terminal_and_log_lines_above_them(recording, tmp_path, monkeypatch):
-    class Talking(replay_module.Advice):
+    class Talking(passes.Advice):
 
         def frame(self, frame):
             if frame.stamp == bags.stamp(5):
                 logging.getLogger('persem_ros.some.where').warning('by the %s', 'way')
 
-    monkeypatch.setattr(replay_module, 'Advice', Talking)
+    monkeypatch.setattr(passes, 'Advice', Talking)
     shown = on_terminal(recording, tmp_path / 'out', monkeypatch)
     assert 'integrating:' in shown and 'rendering:' in shown and 'frames/s' in shown
     line, = (line for line in re.split('[\r\n]+', shown) if 'by the way' in line)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+import logging
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
@@ -19,6 +21,7 @@ from persem_ros.inputs.trajectory import from_path, from_tum, PATH
 if TYPE_CHECKING:
     from persem_ros.inputs.recording.recording import Recording
 
+log = logging.getLogger(__name__)
 EVER = 1e9      # s that poses are kept
 
 
@@ -112,6 +115,24 @@ def correct(recording: Recording, trajectory: Trajectory) -> str:
         far, count = max(far, float(away.max())), len(rows)
     return (f'{trajectory.name}: {count} poses correct those of {recording.name}, by up to '
             f'{far:.3g} m')
+
+
+def correct_all(recordings: Sequence[Recording], trajectory: Trajectory | None) -> None:
+    """Have recordings give their frames by corrected poses, where there are any."""
+    if trajectory is None:
+        for recording in recordings:
+            own = named(recording)
+            if own is not None:
+                log.info('%s', correct(recording, own))
+        return
+    errors = []
+    for recording in recordings:
+        try:
+            log.info('%s', correct(recording, trajectory))
+        except PersemError as error:
+            errors.append(error)
+    if len(errors) == len(recordings):
+        raise errors[0]
 
 
 def _poses(recording: Recording, camera: str) -> PoseBuffer:

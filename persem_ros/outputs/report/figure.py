@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from persem_ros.frames import Frame
     from persem_ros.outputs.report.strip import Sample
     from persem_ros.outputs.results.mapped import Overview
+    from persem_ros.passes import Replay
     from persem_ros.rendering import Rendering
-    from persem_ros.replay import Replay
     from persem_ros.settings.legend import Legend
 
 WIDTH, GAP, TITLE = 1600, 14, 34        # pixels
@@ -31,7 +31,7 @@ FORMATS = {'.png': (cv2.IMWRITE_PNG_COMPRESSION, 9), '.jpg': (cv2.IMWRITE_JPEG_Q
 
 
 class FigureWatcher:
-    """Writes a figure, 1600 pixels wide, of a replay (persem_ros.replay.Replay)."""
+    """Writes a figure, 1600 pixels wide, of a replay (persem_ros.passes.Replay)."""
 
     def __init__(self, path: Path | str) -> None:
         self._path = Path(path)

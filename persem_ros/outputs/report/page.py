@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from persem_ros.core.memory.frame_table import FrameTable
     from persem_ros.inputs.recording.sessions import Sessions
     from persem_ros.outputs.results.mapped import Overview
-    from persem_ros.replay import Replay
+    from persem_ros.passes import Replay
     from persem_ros.settings.legend import Legend
 
 METHOD_TEXTS = {
@@ -37,7 +37,7 @@ def render(replay: Replay, result: dict[str, Any], frames: list[dict[str, Any]],
 
     Parameters
     ----------
-    replay : persem_ros.replay.Replay
+    replay : persem_ros.passes.Replay
         Finished.
     result : dict
         The content of metrics.json.

@@ -14,12 +14,12 @@ from persem_ros.outputs.report.strip import panels, sample, Strip
 if TYPE_CHECKING:
     from persem_ros.frames import Frame
     from persem_ros.outputs.report.strip import Sample
+    from persem_ros.passes import Replay
     from persem_ros.rendering import Rendering
-    from persem_ros.replay import Replay
 
 
 class ReportWatcher:
-    """Writes report.html into the folder of a replay (persem_ros.replay.Replay)."""
+    """Writes report.html into the folder of a replay (persem_ros.passes.Replay)."""
 
     def __init__(self) -> None:
         self._flicker = FlickerSeries()

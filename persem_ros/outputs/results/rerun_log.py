@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     from persem_ros.frames import Frame
+    from persem_ros.passes import Replay
     from persem_ros.rendering import Rendering
-    from persem_ros.replay import Replay
 
 EXTRA = "'.[viewer]'"
 MAP_STEPS = 100     # the map grows in about so many pieces
@@ -26,7 +26,7 @@ MAP_STEPS = 100     # the map grows in about so many pieces
 
 class RerunLog:
     """
-    Watches a replay (persem_ros.replay.Replay) and writes what it sees.
+    Watches a replay (persem_ros.passes.Replay) and writes what it sees.
 
     A context manager: the file appears under its name only when the replay went well.
 
