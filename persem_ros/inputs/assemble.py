@@ -15,14 +15,13 @@ from persem_ros.inputs.decode.labels import LabelReader
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.names import renamed
 from persem_ros.inputs.registration import depth_of_cloud, registered
-from persem_ros.inputs.sync.pairing import (
-    COLOR, CONFIDENCE, DEPTH, DEPTH_CONFIDENCE, LABELS, TRUTH)
+from persem_ros.inputs.sync.match import COLOR, CONFIDENCE, DEPTH, DEPTH_CONFIDENCE, LABELS, TRUTH
 from persem_ros.inputs.views import CAMERAS_KEPT, Views
 from persem_ros.settings.config import Config, frame_of
 from persem_ros.settings.legend import Legend
 
 if TYPE_CHECKING:
-    from persem_ros.inputs.sync.pairing import Match
+    from persem_ros.inputs.sync.match import Match
     from persem_ros.inputs.views import View
 
 OTHER_CAMERA = 'labels of another camera'

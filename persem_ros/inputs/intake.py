@@ -5,52 +5,35 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 import heapq
-from typing import Any, NamedTuple, TYPE_CHECKING, Union
+from typing import Any, TYPE_CHECKING, Union
 
-import numpy as np
-from numpy.typing import NDArray
-from persem_ros.core.transforms import inverse
-from persem_ros.inputs.assemble import Assembler, OTHER_CAMERA, other_camera_sentence
-from persem_ros.inputs.decode import clouds, legends, messages, pose_messages
+from persem_ros.inputs.assemble import Assembler
+from persem_ros.inputs.decode import legends, messages, pose_messages
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.names import Names
-from persem_ros.inputs.sync.pairing import (
-    COLOR, CONFIDENCE, DEPTH, DEPTH_CONFIDENCE, KEEP, LABELS, repeated, Synchronizer, TRUTH)
-from persem_ros.inputs.sync.poses import NO_MOUNT, OTHER_FRAME, PoseBuffer, UNSAID
-from persem_ros.inputs.sync.track import Lookup
+from persem_ros.inputs.placing import Placing
+from persem_ros.inputs.sync.match import (
+    COLOR, CONFIDENCE, DEPTH, DEPTH_CONFIDENCE, LABELS, Raw, TRUTH)
+from persem_ros.inputs.sync.no_pose import explain
+from persem_ros.inputs.sync.pairing import KEEP, repeated, Synchronizer
+from persem_ros.inputs.sync.poses import PoseBuffer
 
 if TYPE_CHECKING:
     from collections import Counter
 
     from persem_ros.frames import Frame
-    from persem_ros.inputs.sync.pairing import Match
+    from persem_ros.inputs.sync.match import Match
+    from persem_ros.inputs.sync.track import Lookup
     from persem_ros.settings.config import Config
 
 # At one stamp: whatever completes goes last.
 ORDER = {TRUTH: 0, COLOR: 1, CONFIDENCE: 2, DEPTH_CONFIDENCE: 3, DEPTH: 4, LABELS: 5}
-TOO_FAR = 'position too far away'
-VOXELS = 1 << 30        # from map.origin, within which a camera can be: voxels have 32 bits
 INFO, POSE, TF, LEGEND = 'camera_info', 'pose', 'tf', 'legend'
 LABELS_INFO, TRAJECTORY = 'labels_info', 'trajectory'
-NO_INFO = 'no camera info'
-OTHER_INFO = 'camera info of another camera'
-NO_TIE_YET = 'no transform between depth and labels'
-NO_TIE = 'no transform between cloud and labels'
-SAME = 1e-6         # between two matrices of one place, metres
 QUEUE_BYTES = 256 << 20
 READY_MAX = 64          # matches of some cameras that wait for those of another
 # decode(data, typename) gives a message; BadMessage where its bytes are damaged.
 Decode = Callable[[Union[bytes, memoryview], str], Any]
-
-
-class Raw(NamedTuple):
-    """An image that has not been decoded: most of those without a partner never are."""
-
-    msgtype: str
-    data: bytes
-    frame_id: str
-    stamp: int = 0      # ns
-    tables: int = 0     # of class names without a stamp, that had come before it
 
 
 class Station:
@@ -100,6 +83,8 @@ class Intake:
         Seconds that a depth image waits for its labels at least.
     max_bytes : int
         Bound of the images that a camera holds.
+    examples : dict, optional
+        To be filled.
 
     Attributes
     ----------
@@ -109,24 +94,25 @@ class Intake:
         One whole sentence for reasons that have one.
     names : Names
         The classes of the map.
+    placing : Placing
+        Finds the poses.
 
     """
 
     def __init__(self, config: Config, decode: Decode, dropped: Counter[str],
                  patient: bool = False, pose_wait: float | None = None, keep: float = KEEP,
-                 max_bytes: int = QUEUE_BYTES) -> None:
+                 max_bytes: int = QUEUE_BYTES, examples: dict[str, str] | None = None) -> None:
         """Start without cameras."""
         self.config = config
         self.stations: list[Station] = []
         self.dropped = dropped
-        self.examples: dict[str, str] = {}
+        self.examples = {} if examples is None else examples
         self.names = Names(config)
         self._decode = decode
         self._waits = patient, pose_wait, keep, max_bytes
         # Matches of all cameras with their stamps and the cameras' numbers, a heap.
         self._ready: list[tuple[int, int, Match]] = []
-        # By reason, what a lookup without a pose was for: the stamp and frame asked for.
-        self._missed: dict[str, tuple[PoseBuffer, int, str]] = {}
+        self.placing = Placing(config, self.examples, self.no_mount, self.untied)
 
     @property
     def offset(self) -> int:
@@ -216,10 +202,10 @@ class Intake:
 
     def explain(self) -> None:
         """Write to `examples` why frames had no pose."""
-        for reason, (poses, stamp, frame_id) in self._missed.items():
+        for reason, (poses, stamp, frame_id) in self.placing.missed.items():
             if reason in self.dropped:
-                self.examples[reason] = poses.explain(stamp, frame_id)
-        self._missed.clear()
+                self.examples[reason] = explain(poses, stamp, frame_id)
+        self.placing.missed.clear()
 
     def clear(self) -> None:
         """Forget all images held (the clock went back)."""
@@ -261,96 +247,7 @@ class Intake:
 
     def _lookup(self, poses: PoseBuffer, assembler: Assembler, match: Match) -> Lookup:
         """Return the pose of a match, once its camera is known."""
-        labels, depth = match.items[LABELS], match.items.get(DEPTH)
-        info_frame = assembler.frame_id
-        if depth is None:       # a labelled cloud
-            return self._found(poses, assembler, match.stamp, labels.frame_id)
-        if info_frame is None:
-            return Lookup(None, False, NO_INFO)
-        lidar = depth.msgtype == clouds.TYPE
-        given = assembler.given
-        frame_id = given or (labels if lidar else depth).frame_id or labels.frame_id or info_frame
-        if not given and not lidar and self._of_another(poses, info_frame, depth.frame_id):
-            return Lookup(None, True, OTHER_INFO)
-        found = self._found(poses, assembler, match.stamp, frame_id)
-        if given and not lidar:
-            return found
-        other = (depth if lidar else labels).frame_id or frame_id
-        if found.T is None or other == frame_id and not lidar:
-            return found
-        tied = self._tied(poses, assembler, match, found, frame_id, other, lidar)
-        if tied.T is None or lidar or match.T_labels_depth is None or assembler.knows_labels:
-            return tied
-        self.examples[OTHER_CAMERA] = other_camera_sentence(other, frame_id,
-                                                            match.T_labels_depth)
-        return Lookup(None, False, OTHER_CAMERA)
-
-    def _of_another(self, poses: PoseBuffer, info: str, depth: str) -> bool:
-        """Return whether static transforms say that a camera info is of another camera."""
-        if depth in ('', info) or not info:
-            return False
-        T = poses.tree.chain(info, depth, None).T
-        if T is None or np.abs(T - np.eye(4)).max() <= SAME:
-            return False
-        self.examples[OTHER_INFO] = (
-            f'the camera info is of {info!r}, the depth images are of {depth!r}, which is another '
-            'camera by /tf_static: --set topics.camera_info=TOPIC names that of the depth images')
-        return True
-
-    def _found(
-            self, poses: PoseBuffer, assembler: Assembler, stamp: int, frame_id: str) -> Lookup:
-        """Return the pose of a frame; where there is none, remember why."""
-        found = poses.lookup(stamp, frame_id)
-        if found.reason in (NO_MOUNT, UNSAID):
-            self.no_mount(found.reason, poses.mount_sentence(frame_id, assembler.frame_setting))
-        elif found.reason == OTHER_FRAME:
-            self.examples[OTHER_FRAME] = poses.other_frame_sentence()
-        elif found.T is None:
-            self._missed[found.reason] = poses, stamp, frame_id
-        elif not self._within(found.T):
-            self.examples.setdefault(TOO_FAR, (
-                f'position {found.T[:3, 3].tolist()} m is too far away for voxels of '
-                f'{self.config.memory.voxel_size} m: expected coordinates near map.origin'))
-            return Lookup(None, True, TOO_FAR)
-        return found
-
-    def _tied(
-            self, poses: PoseBuffer, assembler: Assembler, match: Match, found: Lookup,
-            frame_id: str, other: str, lidar: bool
-    ) -> Lookup:
-        """
-        Note how the depth of a match is seen by the labels' camera; return the depth's pose.
-
-        *found* is the pose of *frame_id* at the stamp of the match, *other* the frame that TF
-        has to tie to it: the LiDAR's, or that of labels whose depth is another camera's.
-
-        """
-        assert found.T is not None, 'without a pose there is nothing to tie'
-        tie = poses.tie(frame_id, other, match.items[DEPTH].stamp if lidar else match.stamp)
-        if tie.T is None and lidar:
-            self.examples[NO_TIE] = (f'the cloud is in the frame {other!r}, the labels are in '
-                                     f'{frame_id!r}, and /tf_static does not connect them')
-            return Lookup(None, tie.final, NO_TIE)
-        if tie.T is None:
-            if not self.untied(frame_id, other):
-                return Lookup(None, False, NO_TIE_YET)
-            return found        # nothing says that they are two cameras
-        then = self._found(poses, assembler, match.items[DEPTH].stamp, frame_id)
-        if then.T is None:
-            return then
-        if lidar:
-            match.T_labels_depth = inverse(found.T) @ then.T @ tie.T
-            return found
-        T = inverse(found.T @ tie.T) @ then.T
-        if np.abs(T - np.eye(4)).max() <= SAME:
-            return found
-        match.T_labels_depth = T
-        return then
-
-    def _within(self, T: NDArray[np.float64]) -> bool:
-        """Return whether a pose (4, 4) is where voxels can be numbered."""
-        away = np.abs(T[:3, 3] - np.array(self.config.map.origin)).max()
-        return bool(away < VOXELS * self.config.memory.voxel_size)
+        return self.placing.lookup(poses, assembler, match)
 
     def _frame(self, station: Station, match: Match) -> Frame | None:
         """Return the decoded frame of a match, None where it cannot be used."""

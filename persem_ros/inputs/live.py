@@ -13,7 +13,8 @@ from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.intake import Intake, LEGEND, POSE, Station
 from persem_ros.inputs.sync.backlog import Backlog
 from persem_ros.inputs.sync.clocks import ANOTHER_CLOCK, Clocks
-from persem_ros.inputs.sync.pairing import DEPTH, KEEP, LABELS, NO_DEPTH, QUEUE_FULL, WENT_BACK
+from persem_ros.inputs.sync.match import DEPTH, LABELS
+from persem_ros.inputs.sync.pairing import KEEP, NO_DEPTH, QUEUE_FULL, WENT_BACK
 from persem_ros.inputs.sync.partners import Partners
 from persem_ros.inputs.sync.timeline import BACK, ODD, Timeline
 from persem_ros.inputs.sync.track import Lookup
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
     from persem_ros.inputs.assemble import Assembler
     from persem_ros.inputs.intake import Decode, Taker
-    from persem_ros.inputs.sync.pairing import Match
+    from persem_ros.inputs.sync.match import Match
     from persem_ros.inputs.sync.poses import PoseBuffer
     from persem_ros.settings.config import Config, Sync
 
@@ -193,7 +194,7 @@ class LiveIntake(Intake):
 
     def configure(self, config: Config) -> None:
         """Go on with other settings sync.* and pose.*."""
-        self.config = config
+        self.config = self.placing.config = config
         self._wait = round(config.sync.max_wait * 1e9)
         self._hold = round(config.sync.hold * 1e9)
         for station in self.stations:

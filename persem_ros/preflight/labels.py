@@ -11,7 +11,7 @@ from persem_ros.inputs.assemble import Assembler, is_cloud, other_camera_sentenc
 from persem_ros.inputs.decode import clouds, image_messages
 from persem_ros.inputs.decode.labels import LabelReader, LEGEND, NEAREST
 from persem_ros.inputs.decode.messages import BadMessage
-from persem_ros.inputs.intake import SAME
+from persem_ros.inputs.placing import SAME
 from persem_ros.preflight.findings import Finding, NOTE, REFUSE, Remedy, WARN
 from persem_ros.preflight.sample import Sample, View
 from persem_ros.settings.config import Config

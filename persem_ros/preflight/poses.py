@@ -9,6 +9,7 @@ from persem_ros.core.agreement import misses, WORST
 from persem_ros.core.transforms import inverse
 from persem_ros.inputs.decode import pose_messages
 from persem_ros.inputs.decode.messages import BadMessage
+from persem_ros.inputs.sync.no_pose import mount_sentence
 from persem_ros.inputs.sync.poses import NO_MOUNT
 from persem_ros.inputs.sync.track import SLACK, Track
 from persem_ros.preflight.depth import is_cloud_of
@@ -72,11 +73,11 @@ def _mount(view: View, sample: Sample) -> Iterator[Finding]:
         return
     tree, target = poses.tree, sample.config.frames.map
     if tree.connected(target, frame):
-        yield Finding(REFUSE, poses.mount_sentence(frame, view.frame_setting), (Remedy(
+        yield Finding(REFUSE, mount_sentence(poses, frame, view.frame_setting), (Remedy(
             {'pose.source': 'tf'}, f'takes all from /tf, which leads from {target!r} to '
                                    f'{frame!r}'),))
     else:
-        yield Finding(REFUSE, poses.mount_sentence(frame, view.frame_setting))
+        yield Finding(REFUSE, mount_sentence(poses, frame, view.frame_setting))
 
 
 def _reading(view: View, sample: Sample) -> Finding:

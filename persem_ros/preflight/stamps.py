@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
+from persem_ros.inputs.sync.no_pose import explain
 from persem_ros.inputs.sync.poses import NO_MOUNT, UNSAID
 from persem_ros.preflight.findings import Finding, NOTE, REFUSE, WARN
 from persem_ros.preflight.lag import distances
@@ -111,7 +112,7 @@ def _poses(view: View, sample: Sample) -> Iterator[Finding]:
         severity = REFUSE if reasons.total() == len(stamps) and not sample.live else WARN
         yield Finding(severity, f'{reasons.total()} of {len(stamps)} frames have no pose '
                                 f'({reason}): '
-                                f'{view.poses.explain(first[reason], view.image_frame)}')
+                                f'{explain(view.poses, first[reason], view.image_frame)}')
 
 
 def unconnected(view: View, sample: Sample) -> bool:

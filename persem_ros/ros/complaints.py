@@ -8,7 +8,8 @@ import time
 from typing import TYPE_CHECKING
 
 from persem_ros.inputs.live import BEHIND
-from persem_ros.inputs.sync.pairing import DEPTH, NO_DEPTH, QUEUE_FULL
+from persem_ros.inputs.sync.match import DEPTH
+from persem_ros.inputs.sync.pairing import NO_DEPTH, QUEUE_FULL
 from persem_ros.ros.losses import remedy
 
 if TYPE_CHECKING:

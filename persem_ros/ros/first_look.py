@@ -14,7 +14,7 @@ import numpy as np
 from persem_ros.inputs.assemble import Assembler
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.intake import INFO, POSE, Station
-from persem_ros.inputs.sync.pairing import CONFIDENCE, DEPTH, DEPTH_CONFIDENCE, LABELS
+from persem_ros.inputs.sync.match import CONFIDENCE, DEPTH, DEPTH_CONFIDENCE, LABELS
 from persem_ros.inputs.sync.poses import PoseBuffer
 from persem_ros.preflight.depth_fit import measured
 from persem_ros.preflight.findings import Finding, NOTE, REFUSE

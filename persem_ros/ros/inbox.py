@@ -8,7 +8,7 @@ import threading
 import time
 from typing import NamedTuple, TYPE_CHECKING
 
-from persem_ros.inputs.sync.pairing import LABELS
+from persem_ros.inputs.sync.match import LABELS
 
 if TYPE_CHECKING:
     from persem_ros.ros.topic import Input

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from persem_ros.inputs.intake import INFO, LABELS_INFO, LEGEND, TF, TRAJECTORY
-from persem_ros.inputs.sync.pairing import COLOR, DEPTH, LABELS
+from persem_ros.inputs.sync.match import COLOR, DEPTH, LABELS
 from persem_ros.inputs.sync.poses import PoseBuffer
 from persem_ros.ros.input_list import InputList
 from persem_ros.ros.messages import INSTALL

@@ -4,7 +4,7 @@ import bags
 import numpy as np
 from persem_ros.inputs.assemble import Assembler, resampled
 from persem_ros.inputs.decode.messages import BadMessage
-from persem_ros.inputs.sync.pairing import COLOR, DEPTH, LABELS, Match, TRUTH
+from persem_ros.inputs.sync.match import COLOR, DEPTH, LABELS, Match, TRUTH
 from persem_ros.outputs.recording.messages import MessageFactory
 from persem_ros.settings.config import Config, updated
 import pytest

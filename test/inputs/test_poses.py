@@ -4,6 +4,7 @@ from hypothesis import given, strategies as st
 import numpy as np
 from persem_ros.core.transforms import inverse, matrix_to_quaternion, slerp, transform
 from persem_ros.errors import PersemError
+from persem_ros.inputs.sync.no_pose import explain, mount_sentence
 from persem_ros.inputs.sync.poses import NO_MOUNT, PoseBuffer
 from persem_ros.inputs.sync.track import Lookup, NO_POSE, POSE_GAP
 from persem_ros.settings.config import Config, updated
@@ -158,7 +159,7 @@ def test_an_unknown_mounting_is_said_with_the_flags_that_help():
     buffer = filled(child='base_link')
     buffer.add_static(MOUNT, 'base_link', 'lidar')
     assert buffer.lookup(at(0.1), 'camera') == Lookup(None, False, NO_MOUNT)
-    sentence = buffer.mount_sentence('camera')
+    sentence = mount_sentence(buffer, 'camera')
     for part in ('base_link', 'camera', 'base_link -> lidar', '--set pose.extrinsic=',
                  '--set pose.child_frame=camera'):
         assert part in sentence
@@ -200,12 +201,12 @@ def test_tf_waits_for_the_slowest_and_knows_gaps():
     buffer.add_tf(at(2.0), turn(0), 'map', 'odom')
     assert buffer.lookup(at(0.42), 'camera') == Lookup(None, True, POSE_GAP)
     assert buffer.lookup(at(0.1), 'nowhere') == Lookup(None, False, NO_POSE)
-    assert "from 'map' to 'nowhere'" in buffer.explain(at(0.1), 'nowhere')
-    assert 'base_link -> camera, map -> odom, odom -> base_link' in buffer.explain(at(0), 'x')
+    assert "from 'map' to 'nowhere'" in explain(buffer, at(0.1), 'nowhere')
+    assert 'base_link -> camera, map -> odom, odom -> base_link' in explain(buffer, at(0), 'x')
 
 
 def test_the_explanation_names_the_times():
-    text = filled(stamps=(0.0, 0.25)).explain(at(9), 'camera')
+    text = explain(filled(stamps=(0.0, 0.25)), at(9), 'camera')
     for part in ('1700000009.000000000', '1700000000.000000000', '1700000000.250000000'):
         assert part in text
 

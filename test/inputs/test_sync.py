@@ -2,7 +2,8 @@
 
 from hypothesis import given, strategies as st
 import numpy as np
-from persem_ros.inputs.sync.pairing import COLOR, DEPTH, LABELS, Synchronizer, TRUTH
+from persem_ros.inputs.sync.match import COLOR, DEPTH, LABELS, TRUTH
+from persem_ros.inputs.sync.pairing import Synchronizer
 from persem_ros.inputs.sync.track import Lookup
 from persem_ros.settings.config import Sync
 import pytest

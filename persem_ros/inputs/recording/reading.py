@@ -14,16 +14,17 @@ import numpy as np
 from persem_ros.errors import PersemError
 from persem_ros.inputs import names
 from persem_ros.inputs.intake import INFO, Intake, LABELS_INFO, LEGEND, ORDER, POSE, TF
-from persem_ros.inputs.sync.pairing import (
-    COLOR, CONFIDENCE, DEPTH, DEPTH_CONFIDENCE, LABELS, NO_DEPTH, TRUTH)
+from persem_ros.inputs.sync.match import COLOR, CONFIDENCE, DEPTH, DEPTH_CONFIDENCE, LABELS, TRUTH
+from persem_ros.inputs.sync.no_pose import explain
+from persem_ros.inputs.sync.pairing import NO_DEPTH
 from persem_ros.inputs.sync.poses import PoseBuffer
 
 if TYPE_CHECKING:
     from persem_ros.frames import Frame
-    from persem_ros.inputs.intake import Raw, Station, Taker
+    from persem_ros.inputs.intake import Station, Taker
     from persem_ros.inputs.recording.recording import Recording
     from persem_ros.inputs.recording.source import TopicInfo
-    from persem_ros.inputs.sync.pairing import Match
+    from persem_ros.inputs.sync.match import Match, Raw
     from persem_ros.settings.config import Config
 
 AHEAD = 30.0            # s that poses are read before the images: what one needs is there
@@ -59,8 +60,8 @@ class Reading(Intake):
         self._tolerance = round(config.sync.tolerance * 1e9)
         wait = (self._tolerance + 1) / 1e9
         super().__init__(replace(config, sync=replace(config.sync, max_wait=wait)),
-                         recording.source.decode, recording.dropped, True, 0.0, wait)
-        self.examples = recording.examples
+                         recording.source.decode, recording.dropped, True, 0.0, wait,
+                         examples=recording.examples)
         self._recording = recording
         self._bounds, self._every = (first, last), every
         self._complete: Counter[int] = Counter()                # frames by camera
@@ -177,10 +178,10 @@ class Reading(Intake):
 
     def _note_miss(self, station: Station, match: Match, reason: str) -> None:
         """Keep why a label image was dropped, as long as what tells it is there."""
-        if reason in self._missed:
-            poses, stamp, frame_id = self._missed.pop(reason)
+        if reason in self.placing.missed:
+            poses, stamp, frame_id = self.placing.missed.pop(reason)
             if reason not in self.examples:
-                self.examples[reason] = poses.explain(stamp, frame_id)
+                self.examples[reason] = explain(poses, stamp, frame_id)
         depth = self._depth.get(station)
         if reason == NO_DEPTH and depth:
             i = bisect_left(depth, match.stamp)

@@ -9,22 +9,19 @@ off cannot time out everybody else.
 
 from __future__ import annotations
 
-from bisect import bisect_left, insort
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
+from persem_ros.inputs.sync.match import DEPTH, LABELS, Match
+from persem_ros.inputs.sync.waiting import Waiting, WaitingImages
 
 if TYPE_CHECKING:
-    from persem_ros.inputs.intake import Raw
+    from persem_ros.inputs.sync.match import Raw
     from persem_ros.inputs.sync.track import Lookup
     from persem_ros.settings.config import Sync
 
-LABELS, DEPTH, TRUTH, COLOR = 'labels', 'depth', 'truth', 'color'
-CONFIDENCE, DEPTH_CONFIDENCE = 'confidence', 'depth_confidence'
 NO_DEPTH = 'no depth within tolerance'
 REPEATED = 'stamp repeated'
 ZERO = 'stamp is 0'         # repeated, too: whoever publishes that fills in no stamps
@@ -32,49 +29,6 @@ WENT_BACK = 'stamp went back'
 QUEUE_FULL = 'queue full'
 UNUSED = 'depth: no labels'
 KEEP = 2.0      # s, for a segmenter that takes its time
-
-
-@dataclass(eq=False)
-class Match:
-    """
-    A label image and what belongs to it.
-
-    Attributes
-    ----------
-    stamp : int
-        The label image's, nanoseconds.
-    items : dict
-        What was pushed, by kind; a companion that is missing has no entry.
-    T_map_camera : ndarray, shape (4, 4), float64
-        The pose, None where no poses are asked for.
-    T_body_camera : ndarray, shape (4, 4), float64, or None
-        The camera's mount, where it is known (inputs.sync.poses.Lookup).
-    T_labels_depth : ndarray, shape (4, 4), float64, or None
-        Maps points of the depth camera, or of the LiDAR, at their stamp to the labels' at theirs;
-        None where both are the same.
-
-    """
-
-    stamp: int
-    items: dict[str, Raw]
-    T_map_camera: NDArray[np.float64] | None = None
-    arrival: int = 0
-    complete: float | None = None       # when the depth image was found
-    size: int = 0
-    missing: set[str] = field(default_factory=set)
-    ready: int | None = None            # when nothing of it was missing any more
-    T_body_camera: NDArray[np.float64] | None = None
-    T_labels_depth: NDArray[np.float64] | None = None
-
-
-@dataclass(order=True)
-class _Waiting:
-    """An image that no label image has taken yet."""
-
-    stamp: int
-    item: Raw = field(compare=False)
-    size: int = field(compare=False)
-    arrival: int = field(compare=False)
 
 
 class Synchronizer:
@@ -148,9 +102,7 @@ class Synchronizer:
     def clear(self) -> None:
         """Forget everything held and every stamp seen (the clock went back)."""
         self._matches: list[Match] = []                     # in stamp order
-        self._queues: dict[str, list[_Waiting]] = {kind: [] for kind in self._partners}
-        # Stamp that arrived last.
-        self._latest: dict[str, int | None] = dict.fromkeys(self._partners)
+        self._queues = {kind: WaitingImages() for kind in self._partners}
         self._left: int | None = None                       # stamp of the last match that left
         self.bytes = 0
 
@@ -216,33 +168,27 @@ class Synchronizer:
             match.complete = now
         self._matches.insert(i, match)
         for kind in self._partners:
-            queue = self._queues[kind]
-            j = bisect_left(queue, stamp, key=_stamp)
-            if j < len(queue) and queue[j].stamp == stamp:
-                self._join(match, kind, queue.pop(j), now)
+            image = self._queues[kind].take(stamp)
+            if image is not None:
+                self._join(match, kind, image, now)
         return True
 
     def _push_partner(self, kind: str, stamp: int, item: Raw, size: int, now: int) -> bool:
-        waiting = _Waiting(stamp, item, size, now)
-        self._latest[kind] = stamp
+        image, queue = Waiting(stamp, item, size, now), self._queues[kind]
+        queue.latest = stamp
         i = bisect_left(self._matches, stamp, key=_stamp)
         if i < len(self._matches) and self._matches[i].stamp == stamp:
             if kind in self._matches[i].missing:
-                self._join(self._matches[i], kind, waiting, now)
+                self._join(self._matches[i], kind, image, now)
                 return True
-            self.dropped[f'{kind}: {repeated(stamp)}'] += 1
-            return False
-        queue = self._queues[kind]
-        j = bisect_left(queue, stamp, key=_stamp)
-        if j < len(queue) and queue[j].stamp == stamp:
-            self.dropped[f'{kind}: {repeated(stamp)}'] += 1
-            return False
-        insort(queue, waiting)
-        return True
+        elif queue.add(image):
+            return True
+        self.dropped[f'{kind}: {repeated(stamp)}'] += 1
+        return False
 
-    def _join(self, match: Match, kind: str, waiting: _Waiting, now: float) -> None:
-        match.items[kind] = waiting.item
-        match.size += waiting.size
+    def _join(self, match: Match, kind: str, image: Waiting, now: float) -> None:
+        match.items[kind] = image.item
+        match.size += image.size
         match.missing.discard(kind)
         if kind in self.needed and not self.needed & match.missing:
             match.complete = now
@@ -252,25 +198,17 @@ class Synchronizer:
         for match in self._matches:
             waited = now - match.arrival >= self._wait
             for kind in [k for k in self._partners if k in match.missing]:
-                latest = self._latest[kind]
-                passed = latest is not None and latest > match.stamp
+                queue = self._queues[kind]
+                passed = queue.latest is not None and queue.latest > match.stamp
                 hurried = kind not in self.needed and not self._patient \
                     and not self.needed & match.missing
                 if not (passed or waited or hurried):
                     continue
-                nearest = self._nearest(kind, match.stamp)
+                nearest = queue.take_nearest(match.stamp, self._tolerance)
                 if nearest is not None:
-                    self._join(match, kind, self._queues[kind].pop(nearest), now)
+                    self._join(match, kind, nearest, now)
                 elif kind not in self.needed and self._patient and (passed or waited):
                     match.missing.discard(kind)
-
-    def _nearest(self, kind: str, stamp: int) -> int | None:
-        """Return the index of the nearest image in a queue within the tolerance, else None."""
-        queue = self._queues[kind]
-        i = bisect_left(queue, stamp, key=_stamp)
-        near = [j for j in (i - 1, i) if 0 <= j < len(queue)
-                and abs(queue[j].stamp - stamp) <= self._tolerance]
-        return min(near, key=lambda j: (abs(queue[j].stamp - stamp), j), default=None)
 
     def _head_leaves(self, now: float, leaving: list[Match]) -> bool:
         """Let the earliest label image leave or drop; return False where it has to wait."""
@@ -308,8 +246,7 @@ class Synchronizer:
     def _prune(self, now: float) -> None:
         """Drop images that waited for long and that no label image held could take."""
         for kind, queue in self._queues.items():
-            while queue:
-                oldest = queue[0]
+            while (oldest := queue.oldest) is not None:
                 passed = self._left is not None and oldest.stamp + self._tolerance < self._left
                 if not passed and now - oldest.arrival < self._keep or self._wanted(oldest.stamp):
                     break
@@ -321,13 +258,14 @@ class Synchronizer:
         return i < len(self._matches) and self._matches[i].stamp <= stamp + self._tolerance
 
     def _drop_partner(self, kind: str, reason: str = '') -> None:
-        self.bytes -= self._queues[kind].pop(0).size
+        self.bytes -= self._queues[kind].drop_oldest().size
         if kind == DEPTH or reason:
             self.dropped[f'{kind}: {reason}' if reason else UNUSED] += 1
 
     def _drop_oldest(self) -> None:
         """Make room: what arrived first goes."""
-        heads = [(queue[0].arrival, kind) for kind, queue in self._queues.items() if queue]
+        heads = [(oldest.arrival, kind) for kind, queue in self._queues.items()
+                 if (oldest := queue.oldest) is not None]
         first = min(heads, default=(float('inf'), ''))
         if self._matches and self._matches[0].arrival <= first[0]:
             self._drop_head(self._why_full(self._matches[0]))
@@ -346,5 +284,5 @@ def repeated(stamp: int) -> str:
     return REPEATED if stamp else ZERO
 
 
-def _stamp(item: Match | _Waiting) -> int:
-    return item.stamp
+def _stamp(match: Match) -> int:
+    return match.stamp

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
 import copy
 import re
 
@@ -12,14 +11,13 @@ from persem_ros.core.trajectory import Correction
 from persem_ros.core.transforms import transform
 from persem_ros.errors import PersemError
 from persem_ros.inputs.decode.pose_messages import unit_quaternion
-from persem_ros.inputs.sync.track import Lookup, NO_POSE, Track
+from persem_ros.inputs.sync.track import Lookup, NO_POSE, seconds, Track
 from persem_ros.inputs.sync.tree import Tree
 from persem_ros.settings.config import Config, Pose
 
 NO_MOUNT = 'no transform from the pose to the camera'
 UNSAID = 'poses that do not say what they place'
 OTHER_FRAME = 'poses in another frame than the map'
-CLOCKS = 0.5            # s between a frame and the poses that clocks may be to blame for
 BODIES = re.compile(r'(.*[/_])?(base_link|base|body|fcu|base_footprint)$')
 
 
@@ -44,6 +42,10 @@ class PoseBuffer:
         Sentences for the user.
     tree : Tree
         Of /tf and /tf_static.
+    settings : persem_ros.settings.config.Pose
+    map_frame : str
+    heard : (int, int) or None
+        Smallest and largest stamp of a pose, ns.
     correction : persem_ros.core.trajectory.Correction or None
         What a corrected trajectory says of the poses (a replay).
 
@@ -54,18 +56,18 @@ class PoseBuffer:
         self.notes: dict[str, str] = {}
         self._strict, self._astray = strict, True
         self.correction: Correction | None = None
-        self._map = config.frames.map
+        self.map_frame = config.frames.map
         self._keep = round(keep * 1e9)
         self.tree = Tree(self._keep)
         self._poses: Track | None = None
-        self._span: tuple[int, int] | None = None   # smallest and largest stamp of a pose
+        self.heard: tuple[int, int] | None = None
         self._child = ''
         self.configure(config.pose)
 
     def configure(self, pose: Pose, map_frame: str | None = None) -> None:
         """Go on with other settings pose.* and frames.map."""
-        self._settings = pose
-        self._map = map_frame or self._map
+        self.settings = pose
+        self.map_frame = map_frame or self.map_frame
         self._extrinsic = _extrinsic(pose.extrinsic)
         self._mounts: dict[tuple[str, str], NDArray[np.float64] | None] = {}
         self._gap, self._speed = round(pose.max_gap * 1e9), pose.max_speed
@@ -95,8 +97,8 @@ class PoseBuffer:
         if self._poses is None or self._poses.parent != parent:
             self._poses = Track(parent, self._keep)
         self._child = child
-        first, last = self._span or (stamp, stamp)
-        self._span = min(first, stamp), max(last, stamp)
+        first, last = self.heard or (stamp, stamp)
+        self.heard = min(first, stamp), max(last, stamp)
         return self._poses.add(stamp, T)
 
     def add_tf(self, stamp: int, T: NDArray[np.float64], parent: str, child: str) -> None:
@@ -116,7 +118,7 @@ class PoseBuffer:
     @property
     def child(self) -> str:
         """Return the frame that the poses place, '' where neither settings nor messages say."""
-        return self._settings.child_frame or self._child
+        return self.settings.child_frame or self._child
 
     def lookup(self, stamp: int, frame: str) -> Lookup:
         """
@@ -135,8 +137,8 @@ class PoseBuffer:
             T_map_camera, or why there is none.
 
         """
-        if self._settings.source == 'tf':
-            found, mount = self.tree.chain(self._map, frame, stamp), \
+        if self.settings.source == 'tf':
+            found, mount = self.tree.chain(self.map_frame, frame, stamp), \
                 self._mount_in_tree(frame, stamp)
             if found.T is not None and self._extrinsic is not None:
                 found = found._replace(T=found.T @ self._extrinsic)
@@ -144,18 +146,25 @@ class PoseBuffer:
             return self._corrected(found, stamp, mount)
         if self._poses is None:
             return Lookup(None, False, NO_POSE)
-        found = self._pose_at(stamp)
+        found = self.pose_at(stamp)
         if found.T is None:
             return found
         above = self._above(self._poses.parent, stamp)
         mounted = self._mount(frame, stamp)
         self._astray = self._mounts[self.child, frame] is None \
-            or self._poses.parent not in ('', self._map)
+            or self._poses.parent not in ('', self.map_frame)
         if above.T is None:
             return above
         if mounted.T is None:
             return mounted
         return self._corrected(Lookup(above.T @ found.T @ mounted.T), stamp, mounted.T)
+
+    def pose_at(self, stamp: int) -> Lookup:
+        """Return the Lookup of the pose topic, held where pose.hold names what it places."""
+        assert self._poses is not None
+        if self.child and self.child in self.settings.hold:
+            return self._poses.held(stamp)
+        return self._poses.at(stamp, self._gap, self._speed)
 
     def body(self, stamp: int, frame: str) -> Lookup:
         """
@@ -164,11 +173,11 @@ class PoseBuffer:
         Where /tf gives the poses that is pose.child_frame, else the camera *frame* itself.
 
         """
-        if self._settings.source == 'tf':
-            return self.tree.chain(self._map, self._settings.child_frame or frame, stamp)
+        if self.settings.source == 'tf':
+            return self.tree.chain(self.map_frame, self.settings.child_frame or frame, stamp)
         if self._poses is None:
             return Lookup(None, False, NO_POSE)
-        found = self._pose_at(stamp)
+        found = self.pose_at(stamp)
         if found.T is None:
             return found
         above = self._above(self._poses.parent, stamp)
@@ -177,16 +186,16 @@ class PoseBuffer:
     @property
     def needs_tf(self) -> bool:
         """Return whether /tf may have to say where the poses are: not once they have led home."""
-        return self._settings.source == 'tf' or self._astray
+        return self.settings.source == 'tf' or self._astray
 
     def newest(self, frame: str) -> int | None:
         """Return the largest stamp that came last on the way to *frame*, ns; None: none."""
-        if self._settings.source == 'tf':
-            tracks = self._tracks(self._map, frame)
+        if self.settings.source == 'tf':
+            tracks = self._tracks(self.map_frame, frame)
         else:
             tracks = [self._poses] if self._poses else []
-            if self._poses and self._poses.parent not in ('', self._map):
-                tracks += self._tracks(self._map, self._poses.parent)
+            if self._poses and self._poses.parent not in ('', self.map_frame):
+                tracks += self._tracks(self.map_frame, self._poses.parent)
         return max((track.latest for track in tracks if track.latest is not None), default=None)
 
     def bodies(self, frame: str) -> list[str]:
@@ -199,7 +208,7 @@ class PoseBuffer:
         """
         parent = self._poses.parent if self._poses else ''
         path = self.tree.path(frame)[1:]
-        for top in (parent, self._map):
+        for top in (parent, self.map_frame):
             path = path[:path.index(top)] if top in path else path
         fixed = [name for name in path if self.tree.connected(name, frame, moving=False)]
         if not path or path == fixed and all(self._same_place(name, frame) for name in fixed):
@@ -214,9 +223,9 @@ class PoseBuffer:
 
     def span(self, frame: str) -> tuple[int, int] | None:
         """Return the stamps between which poses, or /tf to *frame*, are known, ns."""
-        if self._settings.source != 'tf':
+        if self.settings.source != 'tf':
             return (self._poses.stamps[0], self._poses.stamps[-1]) if self._poses else None
-        tracks = [t for t in self._tracks(self._map, self._settings.child_frame or frame)
+        tracks = [t for t in self._tracks(self.map_frame, self.settings.child_frame or frame)
                   if t.stamps]
         if not tracks:
             return None
@@ -233,70 +242,20 @@ class PoseBuffer:
         carried = {track.parent for track in self.tree.moving.values()}
         carried |= {self._poses.parent} if self._poses else set()
         for child, track in self.tree.moving.items():
-            if track.parent != self._map or child not in carried or len(track.stamps) < 2:
+            if track.parent != self.map_frame or child not in carried or len(track.stamps) < 2:
                 continue
             before, after = track.transforms[-2:]
             way = float(np.linalg.norm(after[:3, 3] - before[:3, 3]))
             turn = float(np.abs(after[:3, :3] - before[:3, :3]).max())
             if max(way, 10 * turn) >= least:
-                return (f'{self._map} -> {child} on /tf jumped by {way:.3g} m and '
-                        f'{np.degrees(turn):.2g} degrees at {_seconds(track.stamps[-1])}, as '
+                return (f'{self.map_frame} -> {child} on /tf jumped by {way:.3g} m and '
+                        f'{np.degrees(turn):.2g} degrees at {seconds(track.stamps[-1])}, as '
                         'after a loop closure: what was mapped before stays where it was')
         return ''
 
     def tie(self, target: str, source: str, stamp: int) -> Lookup:
         """Return the Lookup of T_target_source at *stamp*, by /tf_static and /tf alone."""
         return self.tree.chain(target, source, stamp)
-
-    def mount_sentence(self, frame: str, setting: str = 'camera.frame') -> str:
-        """
-        Return the sentence that says what NO_MOUNT or UNSAID lacks for images in *frame*.
-
-        *setting* is the one that names the frame of the images where they do not.
-
-        """
-        if self.unsaid(frame):
-            body = self.bodies(frame)[0]
-            return (f'the poses do not say what they place, the camera {frame!r} or {body!r}, on '
-                    f'which it is mounted: --set pose.child_frame={body} if they place '
-                    f'the body, --set pose.child_frame={frame} if the camera')
-        if not frame:
-            leaves = sorted(self.tree.static.keys() - {up for up, _ in self.tree.static.values()})
-            flags = ' or '.join(f'--set {setting}={name}' for name in leaves)
-            return (f'the poses place the frame {self.child!r}, and the images name no frame '
-                    f'(header.frame_id is empty); {flags or f"--set {setting}=NAME"} names it, '
-                    'or --set pose.extrinsic=[x,y,z,qx,qy,qz,qw] gives the mounting')
-        return (f'the poses place the frame {self.child!r}, the images are in {frame!r}, and '
-                f'/tf_static ({self._static_edges()}) does not connect them; give the mounting '
-                'with --set pose.extrinsic=[x,y,z,qx,qy,qz,qw], or --set '
-                f'pose.child_frame={frame} if the poses place the camera itself')
-
-    def other_frame_sentence(self) -> str:
-        """Return the sentence that says what OTHER_FRAME lacks."""
-        parent = self._poses.parent if self._poses else ''
-        return (f'the poses are in the frame {parent!r}, the map is in {self._map!r}, and '
-                f'/tf ({self.tree.edges()}) does not connect them; start what publishes '
-                f'{self._map} -> {parent}, or map in that frame: --set frames.map={parent}')
-
-    def explain(self, stamp: int, frame: str) -> str:
-        """Return the sentence that says why *frame* has no pose at *stamp*."""
-        target = frame
-        if self._settings.source != 'tf':
-            if self._poses is None:
-                return 'the pose topic has no pose that can be used'
-            if self._pose_at(stamp).T is None:
-                return self._explain_topic(stamp)
-            target = self._poses.parent
-            for track, child in self.tree.links(self.child, frame):
-                if self.tree.at(child, stamp, track.parent).T is None:
-                    return self._explain_link(stamp, track, child)
-        for track, child in self.tree.links(self._map, target):
-            if self.tree.at(child, stamp, track.parent).T is None:
-                other = '' if self._settings.source == 'tf' else \
-                    f'; --set frames.map={target} maps in the frame of the poses'
-                return self._explain_link(stamp, track, child) + other
-        return (f'at {_seconds(stamp)} /tf gives no chain from {self._map!r} to {target!r}: '
-                f'{self.tree.edges()}')
 
     def fixed(self, frame: str) -> bool:
         """Return whether settings and static transforms lead from the poses to *frame*."""
@@ -308,70 +267,20 @@ class PoseBuffer:
         """Return whether nobody says if the poses place the camera or what it is mounted on."""
         return not self.child and self._extrinsic is None and bool(self.bodies(frame))
 
-    def _explain_topic(self, stamp: int) -> str:
-        """Return why the pose topic has nothing at *stamp*."""
-        assert self._poses is not None and self._span is not None
-        first, last = self._span
-        if first <= stamp <= last:
-            return f'a frame is at {_seconds(stamp)}, {self._between(self._poses, stamp)}'
-        return (f'a frame is at {_seconds(stamp)}, the poses run from {_seconds(first)} to '
-                f'{_seconds(last)}{_apart(stamp, first, last)}')
-
-    def _explain_link(self, stamp: int, track: Track, child: str) -> str:
-        """Return why a moving link of /tf has nothing at *stamp*."""
-        first, last = track.stamps[0], track.stamps[-1]
-        link = f'the transform {track.parent} -> {child} of /tf'
-        hold = f'--set pose.hold={child} holds the newest one' \
-            if child not in self._settings.hold else 'nothing is held before the first one'
-        if len(track.stamps) == 1:
-            return (f'at {_seconds(stamp)} {link} has one sample only, of {_seconds(first)}, '
-                    f'{abs(stamp - first) / 1e9:.2f} s {"after" if first > stamp else "before"} '
-                    f'the image: {hold}')
-        if first <= stamp <= last:
-            return (f'at {_seconds(stamp)} {link}: {self._between(track, stamp)}, or {hold}')
-        late = f'; if it is only sent so rarely: {hold}' if stamp > last else ''
-        return (f'a frame is at {_seconds(stamp)}, {link} runs from {_seconds(first)} to '
-                f'{_seconds(last)}{_apart(stamp, first, last)}{late}')
-
-    def _between(self, track: Track, stamp: int) -> str:
-        """Return why two samples of a track around *stamp* are not interpolated."""
-        i = min(max(bisect_left(track.stamps, stamp), 1), len(track.stamps) - 1)
-        gap = (track.stamps[i] - track.stamps[i - 1]) / 1e9
-        if gap > self._settings.max_gap:
-            return (f'a gap of {gap:.2f} s is wider than pose.max_gap '
-                    f'({self._settings.max_gap:g} s): --set pose.max_gap={1.2 * gap:.1f} '
-                    'bridges it')
-        way = float(np.hypot.reduce(track.transforms[i][:3, 3] - track.transforms[i - 1][:3, 3]))
-        return (f'the poses go {way:.4g} m in {gap:.3g} s, faster than pose.max_speed '
-                f'({self._settings.max_speed:g} m/s): a jump (relocalisation, loop closure) is '
-                'not interpolated; topics.trajectory takes corrected poses, --set '
-                f'pose.max_speed={1.2 * way / gap if gap else 0:.3g} if they are right')
-
-    def _pose_at(self, stamp: int) -> Lookup:
-        """Return the Lookup of the pose topic, held where pose.hold names what it places."""
-        assert self._poses is not None
-        if self.child and self.child in self._settings.hold:
-            return self._poses.held(stamp)
-        return self._poses.at(stamp, self._gap, self._speed)
-
-    def _static_edges(self) -> str:
-        return ', '.join(f'{up} -> {child}' for child, (up, _) in self.tree.static.items()) \
-            or 'empty'
-
     def _tracks(self, target: str, source: str) -> list[Track]:
         return [track for track, _ in self.tree.links(target, source)]
 
     def _above(self, parent: str, stamp: int) -> Lookup:
         """Return the Lookup of T_map_parent, where *parent* is the frame of the pose topic."""
-        if parent in ('', self._map):
+        if parent in ('', self.map_frame):
             return Lookup(np.eye(4))
-        if self.tree.connected(self._map, parent):
-            return self.tree.chain(self._map, parent, stamp)
+        if self.tree.connected(self.map_frame, parent):
+            return self.tree.chain(self.map_frame, parent, stamp)
         if self._strict:
             return Lookup(None, False, OTHER_FRAME)
         self.notes['map'] = (
             f'the poses are in the frame {parent!r}, which is taken for the map frame '
-            f'{self._map!r}; --set frames.map={parent} says so')
+            f'{self.map_frame!r}; --set frames.map={parent} says so')
         return Lookup(np.eye(4))
 
     def _corrected(self, found: Lookup, stamp: int, mount: NDArray[np.float64] | None) -> Lookup:
@@ -383,7 +292,7 @@ class PoseBuffer:
 
     def _mount_in_tree(self, frame: str, stamp: int) -> NDArray[np.float64] | None:
         """Return T_body_camera where /tf gives the poses and pose.child_frame names the body."""
-        body = self._settings.child_frame
+        body = self.settings.child_frame
         return self.tree.chain(body, frame, stamp).T if body else None
 
     def _mount(self, frame: str, stamp: int) -> Lookup:
@@ -422,18 +331,3 @@ def _extrinsic(values: tuple[float, ...]) -> NDArray[np.float64] | None:
     except PersemError:
         raise PersemError(f'pose.extrinsic: expected x y z and a quaternion qx qy qz qw of '
                           f'length 1, got {list(values)}') from None
-
-
-def _seconds(stamp: int) -> str:
-    return f'{stamp // 10**9}.{stamp % 10**9:09d} s'
-
-
-def _apart(stamp: int, first: int, last: int) -> str:
-    """Return how far *stamp* lies outside of *first* to *last*, and what to do about it."""
-    away = max(stamp - last, first - stamp) / 1e9
-    text = f': the newest is {away:.2f} s older than the image' if stamp > last else \
-        f': the oldest is {away:.2f} s newer than the image'
-    if away < CLOCKS:
-        return f'{text}, and nothing is extrapolated'
-    late = ', or do poses come later than sync.max_wait' if stamp > last else ''
-    return f'{text}; do the clocks differ (chrony, PTP, use_sim_time everywhere){late}?'

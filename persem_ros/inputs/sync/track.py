@@ -154,3 +154,8 @@ def interpolated(T0: NDArray[np.float64], T1: NDArray[np.float64],
     """Return the transform between *T0* and *T1*: lerp of the position, slerp of the rotation."""
     q = slerp(matrix_to_quaternion(T0[:3, :3]), matrix_to_quaternion(T1[:3, :3]), fraction)
     return transform(T0[:3, 3] + fraction * (T1[:3, 3] - T0[:3, 3]), q)
+
+
+def seconds(stamp: int) -> str:
+    """Return a stamp (ns) as text in seconds."""
+    return f'{stamp // 10**9}.{stamp % 10**9:09d} s'
