@@ -31,6 +31,7 @@ from persem_ros.settings.config import Config
 
 if TYPE_CHECKING:
     from persem_ros.core.frame.observe import Observations
+    from persem_ros.core.geometry.overruled import Overruled
     from persem_ros.frames import Frame
     from persem_ros.rendering import Rendering
 
@@ -80,6 +81,7 @@ class Replay:
         self.metrics = Metrics(list(self.methods))
         self.frames, self.causal = 0, False
         self.storage = 'mcap'   # of refined/
+        self.overruled: list[Overruled] = []    # votes that heights of classes overrule
         self._session = self._measured = 0
         self._before = self.pipeline.memory.n_observations     # of a map that goes on
         self._emptiness = Emptiness(config.memory, bool(config.depth.min_confidence))
@@ -248,11 +250,13 @@ class Replay:
                   'voxels': self.mapped.n_voxels, 'observations': memory.n_observations,
                   **self.metrics.result()}
         write_json(self.folder / 'metrics.json', result)
+        self.overruled = self.mapped.overruled()
         self.timing = rundir.timing(self.watch, self.frames, memory.nbytes())
         write_json(self.folder / 'timing.json', self.timing)
         for watcher in self.watchers:
             watcher.finish(self, result)
-        for note in (*self.recording.unsaid, *self.advice.sentences(memory.seen_ids)):
+        for note in (*self.recording.unsaid,
+                     *self.advice.sentences(memory.seen_ids, self.overruled)):
             log.warning(note)
         return result
 

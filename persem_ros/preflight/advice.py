@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +13,7 @@ from persem_ros.preflight.voxel_fit import VoxelFit
 from persem_ros.settings import heights
 
 if TYPE_CHECKING:
+    from persem_ros.core.geometry.overruled import Overruled
     from persem_ros.core.memory.voxel_memory import VoxelMemory
     from persem_ros.frames import Frame
     from persem_ros.settings.config import Config
@@ -48,7 +49,8 @@ class Advice:
         if self._far is None and self._step(position) > COARSE * self._config.memory.voxel_size:
             self._far = position
 
-    def sentences(self, seen_ids: NDArray[np.uint8]) -> list[str]:
+    def sentences(self, seen_ids: NDArray[np.uint8],
+                  overruled: Iterable[Overruled] = ()) -> list[str]:
         """
         Return what there is to say: sentences.
 
@@ -56,10 +58,12 @@ class Advice:
         ----------
         seen_ids : ndarray, shape (65536,), uint8
             Whether an id was integrated (VoxelMemory.seen_ids).
+        overruled : iterable of Overruled
+            What heights did to the votes, where that is known.
 
         """
         return [*self._about_ids(), *self._about_flags(seen_ids), *self._about_heights(seen_ids),
-                *self._about_places()]
+                *self._about_overruled(overruled), *self._about_places()]
 
     def about_voxels(self, memory: VoxelMemory, voxels: int) -> list[str]:
         """Return what there is to say of the voxels' size, so many in the whole map."""
@@ -105,6 +109,20 @@ class Advice:
         if missing and (not here or not refine.geometry.heights.startswith(heights.OF_LEGEND)):
             yield (f'{heights.NAME} or the legend give heights of classes that do not occur: '
                    f'{", ".join(missing)}; expected ids of the recording, persem info prints them')
+
+    def _about_overruled(self, overruled: Iterable[Overruled]) -> Iterator[str]:
+        """Name the classes whose heights the map contradicts."""
+        size = self._config.memory.voxel_size
+        found = [f'{self._legend.name(one.label)} {one.low * size:.3g} to {one.high * size:.3g} m '
+                 f'({one.out / one.voxels:.0%} of its voxels by votes lie beyond, '
+                 f'{one.kept / one.out:.0%} of these keep the name)'
+                 for one in overruled if one.doubtful]
+        if found:
+            more = f' and {len(found) - 5} more classes' if len(found) > 5 else ''
+            yield (f'the votes contradict the heights of {", ".join(found[:5])}{more}: expected '
+                   'metres above the ground, with a metre or two to spare, of the right class '
+                   '(or most labels of it are wrong); without them: '
+                   f'--set {heights.NAME}={heights.NONE}')
 
     def _about_places(self) -> Iterator[str]:
         if self._far is not None:

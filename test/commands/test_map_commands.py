@@ -181,9 +181,10 @@ def test_query_for_each_kind_of_method(capsys, tmp_path, method, words):
 
 
 def test_query_names_the_classes_that_are_said_to_be_elsewhere(capsys, tmp_path):
-    path, _ = saved(tmp_path, 'geometry', **{'refine.geometry.heights': '1 50 99'})
+    path, _ = saved(tmp_path, 'geometry', **{'refine.geometry.heights': '1 50 99; 2 50 99'})
     status, out, _ = run(capsys, 'map', 'query', path, 100.3, 2.2, 0.1)
     assert status == 0 and 'hardly found so high, by refine.geometry.heights: road' in out
+    assert '; against most votes, which say water' in out
 
 
 def test_query_of_a_trust_proposal(capsys, tmp_path):

@@ -1,6 +1,7 @@
 """Heights that count are said, and those that cannot."""
 
 import numpy as np
+from persem_ros.core.geometry.overruled import Overruled
 from persem_ros.preflight.advice import Advice
 from persem_ros.settings.config import Config, updated
 from persem_ros.settings.heights import hinted
@@ -13,13 +14,13 @@ classes:
 """)
 
 
-def said(ids, legend=LEGEND, **values):
+def said(ids, legend=LEGEND, overruled=(), **values):
     """Return what is said of the heights where so many ids were seen."""
     config = updated(Config(), {'refine.method': 'geometry', **{
         f'refine.{name}': value for name, value in values.items()}})
     seen = np.zeros(65536, np.uint8)
     seen[ids] = 1
-    return Advice(hinted(config, legend), legend).sentences(seen)
+    return Advice(hinted(config, legend), legend).sentences(seen, overruled)
 
 
 def test_heights_that_count_are_said():
@@ -36,3 +37,13 @@ def test_heights_of_nothing_are_said():
     assert told.startswith('refine.geometry.heights or the legend give heights of classes that do '
                            'not occur: 3, 5; expected ids of the recording')
     assert len(said([3])) == 1      # a legend may know of more than was seen
+
+
+def test_heights_that_votes_contradict_are_said():
+    told = said([3, 5], overruled=[Overruled(3, -2.0, 2.0, 1000, 900, 300),
+                                   Overruled(5, 5.0, np.inf, 1000, 400, 100)])
+    assert told[1:] == [
+        'the votes contradict the heights of road -1 to 1 m (90% of its voxels by votes lie '
+        'beyond, 33% of these keep the name): expected metres above the ground, with a metre or '
+        'two to spare, of the right class (or most labels of it are wrong); without them: '
+        '--set refine.geometry.heights=none']

@@ -536,6 +536,17 @@ def test_heights_that_the_legend_gives_count_as_if_they_were_set(recording, tmp_
     assert not np.array_equal(own.habits['theta'], none.habits['theta'])
 
 
+def test_heights_that_the_votes_contradict_are_said(tmp_path, caplog, monkeypatch):
+    """A wall that begins on the ground, said to be far above it."""
+    monkeypatch.setattr('persem_ros.core.geometry.overruled.FEW', 10)
+    told = Legend.from_yaml(LEGEND.to_yaml().replace('id: 3,', 'id: 3, height: [60, 70],'))
+    path = worlds.write(tmp_path / 'wall', legend=told.to_yaml())
+    replay(path, tmp_path / 'out', config_of({'refine.method': 'geometry'}))
+    assert 'the votes contradict the heights of' in caplog.text
+    assert ('60 to 70 m above the ground: 100.0% of its' in
+            (tmp_path / 'out' / 'report.html').read_text('utf-8'))
+
+
 def test_ids_out_of_range_are_ignored_and_counted(tmp_path, caplog):
     def images(out, i, at):
         ids = np.full((12, 16), 3, np.int32)

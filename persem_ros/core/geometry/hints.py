@@ -26,10 +26,14 @@ def hints(heights: str, classes: NDArray[np.uint16]) -> NDArray[np.float64]:
     ndarray, shape (96, K)
 
     """
-    edges = np.array([-np.inf, *HEIGHTS, np.inf])
     step = np.arange(SHAPES) // (SHAPES // (len(HEIGHTS) + 1))
     factors = np.ones((SHAPES, len(classes)))
     for c, low, high in parsed(heights):
-        out = (edges[step + 1] <= low) | (edges[step] > high)
-        factors[np.ix_(out, classes == c)] = UNLIKELY
+        factors[np.ix_(steps_out(low, high)[step], classes == c)] = UNLIKELY
     return factors
+
+
+def steps_out(low: float, high: float) -> NDArray[np.bool_]:
+    """Return which steps of height (8,) lie wholly out of *low* .. *high* voxels."""
+    edges = np.array([-np.inf, *HEIGHTS, np.inf])
+    return (edges[1:] <= low) | (edges[:-1] > high)

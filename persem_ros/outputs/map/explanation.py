@@ -104,7 +104,7 @@ def reasons(
                   + (' (the smallest id of a tie)' if tied else ''))
     selective = settings.method in ('trust', 'context', 'history', 'context_history', 'persem')
     if trace['geometry'] is not None:
-        result += _by_geometry(trace['geometry'], voxel_size, name)
+        result += _by_geometry(trace['geometry'], voxel_size, name, majority)
     elif not selective:
         result.append(f'the method {settings.method} fuses the history into one label; '
                       'it has no further steps')
@@ -126,13 +126,16 @@ def reasons(
     return result
 
 
-def _by_geometry(found: dict[str, Any], voxel_size: float, name: Namer) -> list[str]:
+def _by_geometry(found: dict[str, Any], voxel_size: float, name: Namer,
+                 majority: int) -> list[str]:
     """Return the sentences about votes, place, names of such places, neighbours and outcome."""
     def leading(values: dict[int, float]) -> str:
         best = sorted(values, key=lambda c: (-values[c], c))[:3]
         return ', '.join(f'{name(c)} {values[c]:.2f}' for c in best if values[c] >= 0.005)
 
     away = ', '.join(map(name, found['unlikely']))
+    if majority in found['unlikely']:
+        away += f'; against most votes, which say {name(majority)}'
     result = [f'looks: {leading(found["votes"])}; those from one direction count once, which '
               f'leaves {found["looks"]:.2f}; as even these repeat mistakes of each other, they '
               f'weigh like {found["independent"]:.2f} that do not',

@@ -12,6 +12,7 @@ from persem_ros.settings.parameter_file import scalar
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from persem_ros.core.geometry.overruled import Overruled
     from persem_ros.settings.legend import Legend
 
 BETTER = {'pixel_accuracy': 1, 'miou': 1, 'flicker': -1}
@@ -83,7 +84,8 @@ def iou_rows(result: dict[str, Any], legend: Legend) -> list[dict[str, Any]]:
 
 
 def legend_rows(
-        legend: Legend, voxels: dict[int, int], shown: Sequence[int] = ()) -> list[dict[str, Any]]:
+        legend: Legend, voxels: dict[int, int], shown: Sequence[int] = (),
+        overruled: Sequence[Overruled] = (), voxel_size: float = 1.0) -> list[dict[str, Any]]:
     """
     Return the legend: classes that it knows, ids that the map has beside them, ignored ones.
 
@@ -95,8 +97,13 @@ def legend_rows(
         Number of voxels by label.
     shown : collection of int
         Ids that pictures show; the ignored ones among them have a row.
+    overruled : sequence of Overruled
+        What heights of classes did to their votes.
+    voxel_size : float
+        Metres.
 
     """
+    told = {one.label: one for one in overruled}
     known = {item.id: item for item in legend.classes}
     rows = []
     ignored = set(legend.unlabelled) & set(shown)
@@ -107,8 +114,18 @@ def legend_rows(
                      'group': item.group if item and item.group != item.name else '',
                      'marks': marks if item or i in ignored
                      else ['not in the legend'] * bool(known),
-                     'voxels': voxels.get(i, 0)})
+                     'voxels': voxels.get(i, 0),
+                     'heights': _heights(told[i], voxel_size) if i in told else ''})
     return rows
+
+
+def _heights(one: Overruled, size: float) -> str:
+    """Return what the heights of a class did to its votes."""
+    text = (f'{one.low * size:.3g} to {one.high * size:.3g} m above the ground: '
+            f'{one.out / one.voxels:.1%} of its {one.voxels} voxels by votes lie beyond')
+    if one.out:
+        text += f', {one.kept / one.out:.0%} of these keep the name'
+    return f'{text}; the votes contradict these heights' if one.doubtful else text
 
 
 def _legend_order(legend: Legend) -> Callable[[int], tuple[int, int]]:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from persem_ros.core.geometry.overruled import Overruled, overruled
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.errors import PersemError
 from persem_ros.outputs.map import store
@@ -92,6 +93,13 @@ class Mapped:
         return Overview(columns, self.memory.voxel_size,
                         dict(zip(*(a.tolist() for a in labels))),
                         np.bincount(columns['source'], minlength=len(SOURCES)))
+
+    def overruled(self) -> list[Overruled]:
+        """Return what heights of classes do to their votes, where a map in memory goes by any."""
+        refine = self.config.refine
+        if refine.method != 'geometry' or not refine.geometry.heights:
+            return []
+        return overruled(self.memory.columns(), refine)
 
     def comments(self) -> list[str]:
         """Return the lines in the header of map.ply."""
