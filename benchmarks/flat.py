@@ -10,6 +10,7 @@ from persem_ros.core import jit
 from persem_ros.core.memory.capture import Capture
 from persem_ros.core.memory.changes import Changes
 from persem_ros.core.refine.job import finish
+from persem_ros.core.refine.rules import swept
 from persem_ros.core.refine.snapshot import settle
 from persem_ros.core.refine.turns import begin_next
 from persem_ros.outputs.grid.layers import Layers
@@ -26,6 +27,7 @@ SLICE = 100_000     # voxels that the grid takes in at once
 NEARBY = 2000       # voxels from the map's origin to the ground of the grid's benchmark
 COSTS = Legend.from_yaml('classes:\n' + ''.join(
     f'- {{id: {c}, name: c{c}, cost: {c}}}\n' for c in range(scenes.CLASSES)))
+NEW = np.array([scenes.CLASSES], np.uint16)     # a class that no frame has
 PUBLISH = 5         # frames between two publications
 
 
@@ -60,10 +62,8 @@ def flight(config, size, frames, clock, rounds=3):
     scenes.fill(memory, size)
     settle(memory)              # as if all had been refined
     if config.refine.method == 'geometry':      # parameters and relief are there before a flight
-        begin = clock()
-        job = begin_next(memory, config.refine)
-        print(f'{size:>9} voxels: begin the first refinement {1e3 * (clock() - begin):.1f} ms')
-        finish(job, *job.compute())
+        for name in 'the first', '~/refine', 'a new class':
+            everywhere(pipeline, name, frames, clock)
     mirror, job, capture = Mirror(memory.voxel_size, Legend()), None, None
     with ThreadPoolExecutor(3, 'beside', stand_back) as beside:     # as all of a node's do
         published = saved = None
@@ -88,6 +88,24 @@ def flight(config, size, frames, clock, rounds=3):
         if job is not None:
             finish(job, *result.result())
     return away
+
+
+def everywhere(pipeline, name, frames, clock):
+    """Fit parameters to the whole map and label all of it by them, a frame after each step."""
+    memory, settings, away = pipeline.memory, pipeline.config.refine, Away(clock)
+    if name == 'a new class':
+        memory.add(replace(pipeline.observe(frames[0]), labels=NEW, voxels=np.zeros(
+            (1, 3), np.int32), confidences=np.ones(1, np.float32), offsets=None))
+    begun = time.perf_counter()
+    while 'begin' not in away.seconds or not swept(memory, settings):
+        fresh = name == '~/refine' and 'begin' not in away.seconds
+        job = away.time('begin', begin_next, memory, settings, fresh)
+        result = job.compute()
+        away.time('finish', finish, job, *result)
+        away.time('frame', pipeline.add, frames[len(away.seconds['begin']) % len(frames)])
+    print(f'{memory.n_voxels:>9} voxels, {name}: {time.perf_counter() - begun:.1f} s')
+    for part in 'begin', 'finish':
+        print(told(part, away.seconds[part]))
 
 
 def grid(config, size, frames, clock):

@@ -66,7 +66,7 @@ class Pipeline:
 
     def refine_next(self) -> int:
         """Refine what is next in turn, as a node does; return the number of voxels visited."""
-        job = begin_next(self.memory, self.config.refine)
+        job = begin_next(self.memory, self.config.refine, waits=False)
         return finish(job, *job.compute())
 
     def render(

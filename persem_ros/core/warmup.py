@@ -33,6 +33,7 @@ from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine.job import finish
 from persem_ros.core.refine.labelled import label
 from persem_ros.core.refine.regions import region_image, regions
+from persem_ros.core.refine.rules import swept
 from persem_ros.core.refine.snapshot import take
 from persem_ros.core.refine.turns import begin_next
 from persem_ros.core.refine.whole import refine
@@ -99,6 +100,7 @@ def warm_up_geometry() -> None:
     for _ in range(2):
         job = begin_next(memory, geometry)
         finish(job, *job.compute())
+    _in_steps(memory, geometry)
     memory = load(dump(memory))
     refine(memory, geometry, full=False)
     with_ring(memory.m.blocks, take(memory), np.arange(1))
@@ -107,9 +109,20 @@ def warm_up_geometry() -> None:
 
 def _many_classes() -> None:
     """Compile what stands in for some of them where classes are more than the dense form takes."""
-    memory = VoxelMemory(0.01)
+    memory, geometry = VoxelMemory(0.01), replace(Refine(), method='geometry')
     memory.add(_seen(memory, classes=80))
-    refine(memory, replace(Refine(), method='geometry'))
+    refine(memory, geometry)
+    _in_steps(memory, geometry)
+
+
+def _in_steps(memory: VoxelMemory, settings: Refine) -> None:
+    """Refine all of a map afresh, as ~/refine does with a large one."""
+    settings = replace(settings, sweep=memory.n_voxels // 2)
+    fresh = True
+    while fresh or not swept(memory, settings):
+        job = begin_next(memory, settings, fresh)
+        finish(job, *job.compute())
+        fresh = False
 
 
 def _mapped() -> VoxelMemory:

@@ -8,7 +8,7 @@ import time
 from typing import Any, TYPE_CHECKING
 
 from persem_ros.core.refine.job import abandon, finish
-from persem_ros.core.refine.rules import at_rest, swept
+from persem_ros.core.refine.rules import at_rest, pressing, swept
 from persem_ros.core.refine.turns import begin_next
 from persem_ros.core.warmup import warm_up
 from persem_ros.errors import PersemError
@@ -69,7 +69,7 @@ class Refiner:
             return False
         if memory.n_voxels:
             due = stale and time.monotonic() - self._began >= settings.period
-            wanted = self._asked or self._served or due
+            wanted = self._asked or self._served or due or pressing(memory)
             return self._begin(memory, settings) if wanted else False
         for future in self._asked + self._served:
             future.set_exception(PersemError('the map is empty, there is nothing to refine'))

@@ -27,9 +27,9 @@ from persem_ros.core.frame.images import points
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.frame.observe import observe
 from persem_ros.core.frame.place import measured_points, place
-from persem_ros.core.refine.job import abandon
+from persem_ros.core.refine.job import abandon, finish
 from persem_ros.core.refine.labelled import label
-from persem_ros.core.refine.turns import begin
+from persem_ros.core.refine.turns import begin, begin_next
 from persem_ros.core.refine.whole import refine
 from persem_ros.core.refine.regions import regions
 from persem_ros.core.frame.render import filled, render, voxel_image, voxel_image_of
@@ -75,6 +75,11 @@ for shape in ((4, 6), (240, 320), (2, 2)):
             filled(render(shown, frozen(found)), labels, Memory())
         smooth.update(labels)
         refine(memory, replace(Refine(), method=METHODS[stamp % 10]), full=stamp % 3 == 0)
+    if stamp % 6 == 0:
+        geometry = replace(Refine(), method='geometry', sweep=1 + memory.n_voxels // 3)
+        for k in range(9):
+            job = begin_next(memory, geometry, k == 0)
+            finish(job, *job.compute())
 abandon(begin(memory, Refine()))
 observe([], [], np.eye(4), 1)
 observe([[1, 2, 3]], [4], np.eye(4).tolist(), 1, 1, (0, 0, 0))

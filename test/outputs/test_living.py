@@ -373,7 +373,7 @@ def test_geometry_by_kept_parameters(tmp_path, monkeypatch, form):
     if form == 'sparse':
         for module in ('method', 'looks', 'totals'):
             monkeypatch.setattr(f'persem_ros.core.geometry.{module}.MOST_DENSE', 0)
-        monkeypatch.setattr('persem_ros.core.refine.fitting.MOST_DENSE', 0)
+        monkeypatch.setattr('persem_ros.core.refine.gathered.MOST_DENSE', 0)
         monkeypatch.setattr('persem_ros.core.refine.fitting.KEPT', 5000)
     settings, seen = replace(SETTINGS, method='geometry', sweep=60), flight(4, 20)
     path = tmp_path / 'map.persem'

@@ -81,7 +81,7 @@ class Pairs(NamedTuple):
             check_pairs(float(self.pairs), float(self.votes), self.most, classes)
 
 
-def look(memory: Any, taken: Any, settings: Any, beside: bool) -> Looks:
+def look(memory: Any, taken: Any, settings: Any, beside: bool, keep: bool = False) -> Looks:
     """
     Return the Looks of the refined rows of a snapshot.
 
@@ -95,10 +95,12 @@ def look(memory: Any, taken: Any, settings: Any, beside: bool) -> Looks:
         up and geometry.
     beside : bool
         Whether to list the classes beside each voxel.
+    keep : bool
+        As of core.geometry.votes.take_votes.
 
     """
     n, up, near = taken.refined, up_of(settings.up), None
-    votes = take_votes(memory, taken, settings.geometry.directions)
+    votes = take_votes(memory, taken, settings.geometry.directions, keep)
     if beside:
         start, listed = near_classes(memory.m.blocks, taken, votes)
         near = start[:n + 1], listed[:start[n]]

@@ -16,6 +16,8 @@ from persem_ros.core.geometry.upright import Up, upright
 from persem_ros.core.jit import kernel, split
 from persem_ros.core.memory.pools import ROWS, SIDE, sparse_zeros
 
+NO_PLACES = np.empty(0, np.int64)
+
 
 class Change(NamedTuple):
     """
@@ -24,11 +26,11 @@ class Change(NamedTuple):
     Attributes
     ----------
     whole : bool
-        The relief was made anew: everything may have changed.
+        The relief was empty: everything may have changed.
     blocks : ndarray, int64
-        Blocks with cells that became occupied.
-    occupied : ndarray, shape (blocks of the map, 64), uint8
-        A bit per cell that became so.
+        Blocks with cells that became occupied, or empty.
+    altered : ndarray, shape (blocks of the map, 64), uint8
+        A bit per cell that did so; all those of blocks beside which one was let go.
     risen_blocks : ndarray, int64
         Blocks over columns whose ground changed ...
     risen : ndarray, shape (blocks of the map, 64), uint8
@@ -38,7 +40,7 @@ class Change(NamedTuple):
 
     whole: bool
     blocks: NDArray[np.int64]
-    occupied: NDArray[np.uint8]
+    altered: NDArray[np.uint8]
     risen_blocks: NDArray[np.int64]
     risen: NDArray[np.uint8]
 
@@ -46,6 +48,9 @@ class Change(NamedTuple):
 class Relief:
     """
     Occupied cells and ground of one map.
+
+    It is made empty, between two frames; the first update() takes everything in, on any thread:
+    what a frame changes meanwhile is taken in by the next.
 
     Parameters
     ----------
@@ -62,6 +67,10 @@ class Relief:
         Place of a block's tile among those of *ground*.
     ground : Ground
         Tiles are in the order in which they came.
+    empty : bool
+        Whether the first update() has yet to end.
+    young : bool
+        Whether shapes that were kept may be of before it.
 
     """
 
@@ -74,7 +83,10 @@ class Relief:
         self._room = Ground(sparse_zeros((blocks, 2), np.int32),
                             *(sparse_zeros((blocks, TILE), np.int32) for _ in range(2)))
         self._keys, self._order = np.empty(0, np.int64), np.empty(0, np.int64)      # ascending
-        self._empty = True
+        self.empty = self.young = True
+        self._seen = memory.clock       # what changed after it was not taken in
+        self._there = np.flatnonzero(memory.m.blocks['near'][:memory.n_blocks, 13])
+        self._beside = self._below = NO_PLACES      # of what was let go: blocks, tiles
 
     @property
     def ground(self) -> Ground:
@@ -86,51 +98,77 @@ class Relief:
         """Return the bytes in use."""
         return n_blocks * (ROWS + 4) + len(self._keys) * (24 + 8 * TILE)
 
-    def update(self, memory: Any, dirty: NDArray[np.int64]) -> Change:
-        """
-        Take in what changed in the blocks *dirty*; the mapping thread calls it.
-
-        Where cells became empty the relief is made anew, from all blocks.
-
-        """
-        n, blocks = memory.n_blocks, memory.m.blocks
-        whole = self._empty
-        numbers = np.flatnonzero(blocks['near'][:n, 13]) if whole else dirty
+    def update(self, memory: Any) -> Change:
+        """Take in what changed; the mapping thread calls it, once it is not *empty* any more."""
+        n, blocks, whole = memory.n_blocks, memory.m.blocks, self.empty
+        numbers = self._there
+        if not whole:
+            numbers = np.flatnonzero(memory.m.stamps['evidence'][:n] > self._seen)
+            self._seen = memory.clock
         now = np.zeros((len(numbers), ROWS), np.uint8)
         split(read_bits, len(numbers), blocks, memory.m.voxels, numbers, memory.n_gone > 0, now,
               grain=256)
-        before = self.bits[numbers]
-        if not whole and (before & ~now).any():
-            self.__init__(memory, self.up, self.window)     # type: ignore[misc]
-            return self.update(memory, dirty)
-        came = now & ~before
-        some = came.any(axis=1)
-        numbers, came = numbers[some], came[some]
-        self.bits[numbers] |= came
-        occupied, risen = (sparse_zeros((n, ROWS), np.uint8) for _ in range(2))
-        occupied[numbers] = came
-        self._empty = False
-        tiles, changed = self._enter(blocks['index'][numbers], numbers, came)
-        over, place = np.empty(0, np.int64), sparse_zeros(len(self._keys), np.int32)
+        other = now ^ self.bits[numbers]
+        some = other.any(axis=1)
+        numbers, now, other = numbers[some], now[some], other[some]
+        self.bits[numbers] = now
+        altered, risen = (sparse_zeros((n, ROWS), np.uint8) for _ in range(2))
+        altered[numbers] = other
+        beside = self._beside[blocks['near'][self._beside, 13] > 0]
+        altered[beside] = 255
+        tiles, changed = self._enter(memory, numbers, now & other, (now & other != other).any(
+            axis=1))
+        over, place = NO_PLACES, sparse_zeros(len(self._keys), np.int32)
         if len(tiles) and not whole:
             place[tiles] = np.arange(1, len(tiles) + 1, dtype=np.int32)     # in *changed*, + 1
-            over = np.flatnonzero(place[self.tile[:n]])
-            over = over[blocks['near'][over, 13] > 0]
+            over = self._over(blocks, n, place)
         # Also of nothing, lest it be compiled when the ground changes for the first time.
         mark_columns(over, place[self.tile[over]] - 1, self.bits, changed, self.up.i, self.up.j,
                      risen)
-        return Change(whole, numbers, occupied, over, risen)
+        self._there = self._beside = self._below = NO_PLACES
+        self.empty = False
+        return Change(whole, np.union1d(numbers, beside), altered, over, risen)
 
-    def _enter(self, index: NDArray[np.int32], numbers: NDArray[np.int64],
-               came: NDArray[np.uint8]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Enter cells that became occupied; return tiles, and (t, 64) where their ground did."""
-        corner = upright(index, self.up)
+    def let_go(self, memory: Any, numbers: NDArray[np.int64]) -> None:
+        """Take out blocks that are about to leave the map, on the mapping thread."""
+        if self.empty:
+            self.__init__(memory, self.up, self.window)     # type: ignore[misc]
+            self._there = np.setdiff1d(self._there, numbers)
+            return
+        near = memory.m.blocks['near'][numbers].reshape(-1).astype(np.int64)
+        self._beside = np.setdiff1d(np.union1d(self._beside, near[near > 0] - 1), numbers)
+        some = numbers[self.bits[numbers].any(axis=1)]
+        self._below = np.union1d(self._below, self.tile[some])
+        self.bits[numbers] = 0
+
+    def _over(self, blocks: Any, n: int, marked: NDArray[Any]) -> NDArray[np.int64]:
+        """Return the blocks over the tiles that are marked, not zero."""
+        over = np.flatnonzero(marked[self.tile[:n]])
+        return over[blocks['near'][over, 13] > 0]
+
+    def _enter(self, memory: Any, numbers: NDArray[np.int64], came: NDArray[np.uint8],
+               emptied: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """
+        Enter cells that became occupied; return tiles, and (t, 64) where their ground changed.
+
+        The lowest voxels are looked for anew below blocks of which cells were *emptied*.
+
+        """
+        blocks = memory.m.blocks
+        corner = upright(blocks['index'][numbers], self.up)
         own = keys_of(corner[:, :2])
         new, first = np.unique(own[~_among(self._keys, own)], return_index=True)
         if len(new):
             self._grow(new, corner[~_among(self._keys, own)][first][:, :2])
         self.tile[numbers] = self._order[np.searchsorted(self._keys, own)]
         changed = sparse_zeros(len(self._keys), np.uint8)
+        below = np.union1d(self._below, self.tile[numbers[emptied]])
+        if len(below):
+            changed[below] = 1
+            self._room.lowest[below] = NONE
+            over = self._over(blocks, memory.n_blocks, changed)
+            lower_columns(over, self.tile, self.bits[over], upright(
+                blocks['index'][over], self.up), self.up, self.ground.lowest, changed)
         lower_columns(numbers, self.tile, came, corner, self.up, self.ground.lowest, changed)
         return self._relevel(np.flatnonzero(changed))
 

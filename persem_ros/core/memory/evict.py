@@ -99,9 +99,10 @@ def drop(memory: VoxelMemory, numbers: NDArray[np.int64], kept: bool = False) ->
     memory.store.voted['n'][cells[cells > 0] - 1] = 0
     if memory.some_passed:
         memory.store.passed[cells[cells > 0] - 1] = 0
+    if memory.relief is not None:
+        memory.relief.let_go(memory, numbers)
     _drop(memory.m, memory.table, numbers, kept)
-    memory.relief = None
-    if memory.geometry is not None:     # it looks farther than the blocks beside
+    if kept and memory.geometry is not None:    # it looks farther than the blocks beside
         memory.refined_with = None
 
 

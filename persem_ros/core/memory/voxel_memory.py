@@ -70,7 +70,8 @@ class VoxelMemory:
         self.store = Store()
         self.table = new_table(512)
         self.geometry = None        # parameters of the method geometry (core.geometry)
-        self.relief = None          # core.geometry.relief.Relief, kept between refinements
+        self.relief: Any = None     # core.geometry.relief.Relief, kept between refinements
+        self.survey: Any = None     # core.refine.survey.Survey under way
         self.n_gone = 0             # voxels that moved away so far; 0: no record says gone
         self.some_passed = False    # whether any record of store.passed is in use
         self.voted_ids = np.zeros(65536, np.uint8)      # ids of observations

@@ -74,8 +74,9 @@ def finish(job: Job, labels: NDArray[np.uint16], sources: NDArray[np.uint8], pos
 
 def abandon(job: Any) -> None:
     """Give a job up: its voxels count as changed again, through a full refinement."""
-    job.memory.refinements -= 1
-    job.memory.rho = None
+    memory = job.memory
+    memory.refinements -= 1
+    memory.rho = memory.relief = memory.survey = None
 
 
 @kernel

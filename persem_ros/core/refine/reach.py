@@ -101,17 +101,23 @@ def reached(memory: Any, settings: Any, everywhere: bool,
         Numbers of blocks that are labelled besides; they come first.
 
     """
-    up, window = up_of(settings.up), settings.geometry.window
-    dirty = memory.changed_blocks()
-    if memory.relief is None or (memory.relief.up, memory.relief.window) != (up, window):
-        memory.relief = Relief(memory, up, window)
-    change = memory.relief.update(memory, dirty)
+    if not has_relief(memory, settings):
+        memory.relief = Relief(memory, up_of(settings.up), settings.geometry.window)
+    change = memory.relief.update(memory)
     if everywhere or change.whole:
         taken = snapshot.take(memory, shares=False)
-        near = None if change.whole else _spread(
-            memory.m.blocks, memory.n_blocks, change.blocks, change.occupied, RADIUS)[0]
+        near = None if memory.relief.young else _spread(
+            memory.m.blocks, memory.n_blocks, change.blocks, change.altered, RADIUS)[0]
+        memory.relief.young = False
         return replace(taken, relief=memory.relief, reshaped=_reshaped(near, taken))
-    return _part(memory, settings, change, dirty, also)
+    return _part(memory, settings, change, memory.changed_blocks(), also)
+
+
+def has_relief(memory: Any, settings: Any) -> bool:
+    """Return whether there is a relief for the settings, empty or not."""
+    relief = memory.relief
+    return relief is not None and (relief.up, relief.window) == (
+        up_of(settings.up), settings.geometry.window)
 
 
 def _part(memory: Any, settings: Any, change: Change, dirty: NDArray[np.int64],
@@ -119,7 +125,7 @@ def _part(memory: Any, settings: Any, change: Change, dirty: NDArray[np.int64],
     """Return the Snapshot of what a change reaches, and of *also*."""
     blocks, n, bits = memory.m.blocks, memory.n_blocks, memory.relief.bits
     rings = SMOOTHED if settings.geometry.smoothing else 0
-    near, by = _spread(blocks, n, change.blocks, change.occupied, RADIUS)
+    near, by = _spread(blocks, n, change.blocks, change.altered, RADIUS)
     stale = sparse_zeros((n, ROWS), np.uint8)
     stale[by] = near[by]
     stale[dirty] |= blocks['changed'][dirty]
@@ -143,7 +149,8 @@ def _part(memory: Any, settings: Any, change: Change, dirty: NDArray[np.int64],
         ends.append(end)
     block, cell, number = (column[:end] for column in lists)
     taken = snapshot.copied(memory, block, cell, number, ends[1], shares=False)
-    return replace(taken, relief=memory.relief, reshaped=_reshaped(near, taken), swept=ends[0])
+    return replace(taken, relief=memory.relief, swept=ends[0],
+                   reshaped=_reshaped(None if memory.relief.young else near, taken))
 
 
 def surrounded(memory: Any, settings: Any, numbers: NDArray[np.int64], rings: int,
@@ -200,8 +207,7 @@ def at_hand(memory: Any, voxel: NDArray[np.int32],
     if pager is not None and pager.columns is not None:
         block = block_numbers(memory, np.asarray(voxel, np.int32)[None] >> 3)
         return surrounded(memory, settings, block, ASIDE, pager.columns)
-    if relief is None or (relief.up, relief.window) != (
-            up_of(settings.up), settings.geometry.window):
+    if not has_relief(memory, settings) or relief.empty:
         return None
     reach = np.arange(-SMOOTHED, SMOOTHED + 1)
     steps = np.stack(np.meshgrid(reach, reach, reach, indexing='ij'), axis=-1).reshape(-1, 3)

@@ -17,7 +17,7 @@ def take_rho(memory: Any) -> None:
     """Take the class volatility anew; every voxel has to see it."""
     memory.rho, memory.rho_of = memory.volatility(), memory.n_observations
     memory.refined_with, memory.since_rho = None, 0
-    memory.geometry, memory.tally, memory.habits = None, None, {}
+    memory.geometry, memory.tally, memory.habits, memory.survey = None, None, {}, None
 
 
 def due(memory: Any, settings: Any) -> Any:
@@ -28,21 +28,30 @@ def due(memory: Any, settings: Any) -> Any:
 
 def news(memory: Any, settings: Any) -> bool:
     """Return whether parameters have to be fitted anew: there are none, or a class is new."""
-    by = fitted_by(settings)
     if memory.geometry is None and memory.habits:
         memory.geometry = from_arrays(memory.habits)
     memory.habits = {}
-    if memory.geometry is not None and memory.fitted_by == by and \
-            not (memory.voted_ids & ~memory.known_ids).any():
-        return False
-    memory.geometry, memory.fitted_by, memory.known_ids = None, by, memory.voted_ids.copy()
-    return True
+    return memory.geometry is None or memory.fitted_by != fitted_by(settings) or \
+        bool((memory.voted_ids & ~memory.known_ids).any())
+
+
+def fit_anew(memory: Any, settings: Any) -> None:
+    """Have the next refinement fit parameters to the classes of today."""
+    memory.geometry, memory.known_ids = None, memory.voted_ids.copy()
+    memory.fitted_by = fitted_by(settings)
 
 
 def swept(memory: Any, settings: Any) -> Any:
     """Return whether every voxel has seen the present volatility and settings."""
-    return memory.rho is not None and memory.refined_with == rules_of(memory, settings) and \
+    return memory.rho is not None and memory.survey is None and \
+        memory.refined_with == rules_of(memory, settings) and \
         (memory.sweep is None or memory.sweep.ended)
+
+
+def pressing(memory: Any) -> bool:
+    """Return whether the next refinement is due at once: a survey or its sweep is under way."""
+    return memory.survey is not None or memory.sweep is not None and \
+        memory.sweep.pressing and not memory.sweep.ended
 
 
 def at_rest(memory: Any, settings: Any) -> Any:

@@ -137,6 +137,20 @@ def settle(memory: VoxelMemory) -> None:
     memory.m.stamps['stored'][changed] = memory.clock
 
 
+def settle_blocks(memory: VoxelMemory, numbers: NDArray[np.int64]) -> None:
+    """Mark every voxel of some blocks as unchanged."""
+    marked = numbers[memory.m.blocks['changed'][numbers].any(axis=1)]
+    memory.m.used[CLOCK] += 1
+    memory.m.blocks['changed'][marked] = 0
+    memory.m.stamps['stored'][marked] = memory.clock
+
+
+def nothing(memory: VoxelMemory) -> Snapshot:
+    """Return the Snapshot of no voxel."""
+    none = np.empty(0, np.int64)
+    return copied(memory, none, none, none, 0, shares=False)
+
+
 def _changed(
         memory: VoxelMemory, neighbours: int, also: Any
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], int]:

@@ -23,6 +23,8 @@ class Sweep:
         The pool of blocks.
     n_blocks : int
         All block numbers are below this.
+    pressing : bool
+        Whether labels of blocks that it has not come to go by what is out of date.
 
     Attributes
     ----------
@@ -33,8 +35,8 @@ class Sweep:
 
     """
 
-    def __init__(self, blocks: NDArray[np.void], n_blocks: int) -> None:
-        self._blocks, self._n_blocks = blocks, n_blocks
+    def __init__(self, blocks: NDArray[np.void], n_blocks: int, pressing: bool = False) -> None:
+        self._blocks, self._n_blocks, self.pressing = blocks, n_blocks, pressing
         self.order: NDArray[np.int32] | None = None
         self.at = 0
         if n_blocks <= AT_ONCE:

@@ -5,11 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
 from persem_ros.core.geometry.columns import cells_at
 from persem_ros.core.geometry.kept import fitted_by, within
-from persem_ros.core.memory.pools import CLOCK
 from persem_ros.core.refine import snapshot
 from persem_ros.core.refine.fitting import Fitting
 from persem_ros.core.refine.job import finish, Job
@@ -109,7 +106,7 @@ def refine_all(memory: VoxelMemory, settings: Refine, max_voxels: int = 0,
         memory.fitted_by, memory.known_ids = fitted_by(settings), memory.voted_ids.copy()
     arrays = {} if known is None else known.arrays()
     for numbers in pager.visit(index, at_once, max_voxels, saves):
-        _settle_blocks(memory, numbers)
+        snapshot.settle_blocks(memory, numbers)
         here = None
         if columns is None:
             taken = snapshot.take(memory, settings.neighbours, numbers)
@@ -124,11 +121,3 @@ def refine_all(memory: VoxelMemory, settings: Refine, max_voxels: int = 0,
         yield visited
     memory.sweep, memory.refined_with = None, rules_of(memory, settings)
     memory.since_rho = 1
-
-
-def _settle_blocks(memory: VoxelMemory, numbers: NDArray[np.int64]) -> None:
-    """Mark every voxel of some blocks as unchanged."""
-    marked = numbers[memory.m.blocks['changed'][numbers].any(axis=1)]
-    memory.m.used[CLOCK] += 1
-    memory.m.blocks['changed'][marked] = 0
-    memory.m.stamps['stored'][marked] = memory.clock
