@@ -24,7 +24,7 @@ import time
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.outputs.map import store
 from persem_ros.settings.config import Config
-from persem_ros.settings.legend import load_legend
+from persem_ros.settings.legend_files import load_legend
 from scenes import fill
 
 FLAGS = ('--headless', '--no-sandbox', '--use-gl=angle', '--use-angle=swiftshader',

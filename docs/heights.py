@@ -20,7 +20,7 @@ from persem_ros.pipeline import Pipeline
 from persem_ros.preflight.look import opened
 from persem_ros.settings.config import Config
 from persem_ros.settings.heights import hinted
-from persem_ros.settings.legend import load_legend
+from persem_ros.settings.legend_files import load_legend
 from trust import measured, simulated
 
 

@@ -141,7 +141,7 @@ def test_an_installation_is_whole(tmp_path):
          '--disable-pip-version-check', '--target', site, source)
     assert _files(source / 'persem_ros') == _files(site / 'persem_ros')
     shutil.rmtree(source)
-    code = 'import persem_ros.settings.legend as x; print(x.__file__, *x.shipped_legends())'
+    code = 'import persem_ros.settings.legend_files as x; print(x.__file__, *x.shipped_legends())'
     shown = _run('-c', code, cwd=tmp_path, env={**os.environ, 'PYTHONPATH': str(site)})
     module, *legends = shown.split()
     assert Path(module).is_relative_to(site)

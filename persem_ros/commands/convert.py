@@ -241,7 +241,7 @@ def _bound(args: Namespace) -> None:
 
 def _legend(args: Namespace) -> Legend | None:
     """Return the Legend that --legend names, None where it names none."""
-    from persem_ros.settings.legend import load_legend
+    from persem_ros.settings.legend_files import load_legend
     return load_legend(args.legend) if args.legend else None
 
 

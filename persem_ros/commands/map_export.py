@@ -67,7 +67,7 @@ def add_parser(actions: _SubParsersAction[Any]) -> None:
 def run(args: Namespace) -> None:
     """Write the chosen voxels in each format that was asked for; say what was written."""
     from persem_ros.outputs.export.source import MapSource
-    from persem_ros.settings.legend import load_legend
+    from persem_ros.settings.legend_files import load_legend
     wanted = [(name, getattr(args, name)) for name, _, _ in FORMATS if getattr(args, name)]
     if not wanted:
         raise PersemError('nothing to write: give at least one of '

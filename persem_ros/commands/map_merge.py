@@ -42,7 +42,7 @@ def run(args: Namespace) -> None:
     from persem_ros.outputs.map import store
     from persem_ros.outputs.map.merge import merge
     from persem_ros.outputs.map.move import transformed
-    from persem_ros.settings.legend import load_legend
+    from persem_ros.settings.legend_files import load_legend
     out = Path(args.out)
     if len(args.files) < 2:
         raise PersemError(f'expected two files or more, got {args.files[0]} alone: persem map '

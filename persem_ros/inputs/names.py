@@ -11,7 +11,8 @@ from persem_ros.frames import IGNORED, MAX_ID, UNKNOWN
 from persem_ros.inputs.decode.legends import Table
 from persem_ros.inputs.naming import difference
 from persem_ros.settings.config import Config
-from persem_ros.settings.legend import Legend, LegendClass
+from persem_ros.settings.legend import Legend
+from persem_ros.settings.legend_class import LegendClass
 
 KEPT = 1000     # tables: some publish one with every image
 

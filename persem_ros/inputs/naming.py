@@ -4,7 +4,8 @@ from collections.abc import Collection, Iterable, Mapping
 
 from persem_ros.guard.words import plain
 from persem_ros.settings.config import NO_TABLE
-from persem_ros.settings.legend import Legend, LegendClass
+from persem_ros.settings.legend import Legend
+from persem_ros.settings.legend_class import LegendClass
 
 SHOWN = 6       # classes in each part of the sentence
 

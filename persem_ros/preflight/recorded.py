@@ -19,7 +19,7 @@ from persem_ros.inputs.sync.poses import PoseBuffer
 from persem_ros.preflight.depth_fit import measured
 from persem_ros.preflight.sample import Sample, Shot, View
 from persem_ros.settings.config import Config, frame_of
-from persem_ros.settings.legend import load_legend
+from persem_ros.settings.legend_files import load_legend
 
 FIRSTS = 3              # messages of a role that are decoded to judge it
 FOREVER = 1e9           # s

@@ -35,7 +35,7 @@ from persem_ros.ros.watchdog import Watchdog
 from persem_ros.ros.wording import as_ros
 from persem_ros.ros.worker import Worker
 from persem_ros.settings.config import topics_of
-from persem_ros.settings.legend import load_legend
+from persem_ros.settings.legend_files import load_legend
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor

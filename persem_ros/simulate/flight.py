@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.frames import Frame, IGNORED, pinhole
 from persem_ros.inputs.sync.track import interpolated
-from persem_ros.settings.legend import load_legend
+from persem_ros.settings.legend_files import load_legend
 from persem_ros.simulate.materials import VOID
 from persem_ros.simulate.path import make_path, rotation
 from persem_ros.simulate.plan import check, Plan

@@ -10,7 +10,7 @@ from persem_ros.convert.forest.poses import AIRSIM, metadata_poses
 from persem_ros.errors import PersemError
 from persem_ros.inputs.recording.recording import Recording
 from persem_ros.settings.config import Config, updated
-from persem_ros.settings.legend import load_legend
+from persem_ros.settings.legend_files import load_legend
 import pytest
 
 WIDTH, HEIGHT, HIGH = 32, 24, 30.0

@@ -19,7 +19,7 @@ from persem_ros.core import agreement
 from persem_ros.core.transforms import (
     inverse, matrix_to_quaternion, quaternion_to_matrix, transform)
 from persem_ros.errors import PersemError
-from persem_ros.settings.legend import load_legend
+from persem_ros.settings.legend_files import load_legend
 import pytest
 from rosbags.highlevel import AnyReader
 

@@ -15,7 +15,7 @@ from persem_ros.convert.uavscenes.layout import find_run
 from persem_ros.convert.uavscenes.lidar import depth_of_points, read_scan
 from persem_ros.core.transforms import transform
 from persem_ros.errors import PersemError
-from persem_ros.settings.legend import load_legend
+from persem_ros.settings.legend_files import load_legend
 import pytest
 from rosbags.highlevel import AnyReader
 

@@ -28,7 +28,8 @@ from persem_ros.outputs.map.move import move_session, session_of
 from persem_ros.replay import compile_kernels
 from persem_ros.settings import config_file
 from persem_ros.settings.config import Config, Refine, settings
-from persem_ros.settings.legend import Legend, load_legend
+from persem_ros.settings.legend import Legend
+from persem_ros.settings.legend_files import load_legend
 from persem_ros.settings.parameter_file import scalar
 import samples
 from tampering import exercise, exercise_living, export, renew, tamper

@@ -17,7 +17,7 @@ from persem_ros.inputs.trajectory import from_path
 from persem_ros.outputs.map import store
 from persem_ros.outputs.recording.messages import MessageFactory
 from persem_ros.settings.config import Config, Labels, Refine
-from persem_ros.settings.legend import load_legend
+from persem_ros.settings.legend_files import load_legend
 from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 
 

@@ -7,7 +7,7 @@ from persem_ros.inputs.decode.labels import LabelReader
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.outputs.recording.messages import MessageFactory
 from persem_ros.settings.config import Config, updated
-from persem_ros.settings.legend import load_legend
+from persem_ros.settings.legend_files import load_legend
 import pytest
 from rosbags.typesys import get_typestore, Stores
 

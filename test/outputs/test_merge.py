@@ -13,7 +13,8 @@ from persem_ros.outputs.map import store
 from persem_ros.outputs.map.lock import WriterLock
 from persem_ros.outputs.map.merge import merge
 from persem_ros.settings.config import Config, updated
-from persem_ros.settings.legend import Legend, LegendClass
+from persem_ros.settings.legend import Legend
+from persem_ros.settings.legend_class import LegendClass
 import pytest
 from test_store import plain
 

@@ -12,7 +12,8 @@ from persem_ros.core.refine.whole import refine
 from persem_ros.outputs.map.cloud import map_points
 from persem_ros.outputs.map.mirror import matched, Mirror
 from persem_ros.settings.config import Map, Refine
-from persem_ros.settings.legend import Legend, load_legend
+from persem_ros.settings.legend import Legend
+from persem_ros.settings.legend_files import load_legend
 
 LEGEND = Legend()
 SETTINGS = replace(Refine(), min_observations=1)

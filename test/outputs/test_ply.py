@@ -7,7 +7,8 @@ from persem_ros.errors import PersemError
 from persem_ros.outputs import files
 from persem_ros.outputs.map.cloud import colors_of, map_points, POINT
 from persem_ros.outputs.map.ply import map_comments, write_ply
-from persem_ros.settings.legend import Legend, load_legend
+from persem_ros.settings.legend import Legend
+from persem_ros.settings.legend_files import load_legend
 import pytest
 
 KINDS = {'float': '<f4', 'uchar': 'u1', 'int': '<i4'}

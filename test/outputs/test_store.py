@@ -19,7 +19,8 @@ from persem_ros.errors import PersemError
 from persem_ros.outputs.map import store
 from persem_ros.outputs.map.rows import to_rows
 from persem_ros.settings.config import Config, updated
-from persem_ros.settings.legend import Legend, load_legend
+from persem_ros.settings.legend import Legend
+from persem_ros.settings.legend_files import load_legend
 import pytest
 
 ROOT = Path(__file__).parents[2]

@@ -13,7 +13,8 @@ from persem_ros.outputs.map.living import LivingMap
 from persem_ros.outputs.map.lock import WriterLock
 from persem_ros.outputs.map.merge import merge, without
 from persem_ros.settings.config import Config, Refine
-from persem_ros.settings.legend import Legend, load_legend
+from persem_ros.settings.legend import Legend
+from persem_ros.settings.legend_files import load_legend
 import pytest
 from tampering import exercise, exercise_living, export, renew, tamper
 

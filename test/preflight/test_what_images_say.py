@@ -9,7 +9,7 @@ from persem_ros.inputs.recording.excerpt import Excerpt
 from persem_ros.outputs.recording.writer import RecordingWriter
 from persem_ros.preflight.look import opened
 from persem_ros.settings.config import Config, updated
-from persem_ros.settings.legend import load_legend
+from persem_ros.settings.legend_files import load_legend
 import pytest
 
 

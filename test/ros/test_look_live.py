@@ -4,7 +4,7 @@ import bags
 from harness import Player, until
 import numpy as np
 from persem_ros.outputs.recording.writer import RecordingWriter
-from persem_ros.settings.legend import load_legend
+from persem_ros.settings.legend_files import load_legend
 import pytest
 from test_frames_and_poses import DOWN, ground, H, K, swaying, W
 from test_sensors_live import LATCHED_DEEP

@@ -5,7 +5,7 @@ from harness import LATCHED, Player, until
 import numpy as np
 from persem_ros.outputs.map.cloud import POINT
 from persem_ros.outputs.recording.writer import RecordingWriter
-from persem_ros.settings.legend import load_legend
+from persem_ros.settings.legend_files import load_legend
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import Image, PointCloud2

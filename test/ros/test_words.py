@@ -4,7 +4,7 @@ import bags
 from camera import Camera
 from harness import Player, until
 import numpy as np
-from persem_ros.settings.legend import GREY
+from persem_ros.settings.palette import GREY
 from sensor_msgs.msg import Image
 from test_parameters import param
 

@@ -4,7 +4,9 @@ import logging
 
 import numpy as np
 from persem_ros.errors import PersemError
-from persem_ros.settings.legend import Legend, load_legend, made_up_colors, shipped_legends
+from persem_ros.settings.legend import Legend
+from persem_ros.settings.legend_files import load_legend, shipped_legends
+from persem_ros.settings.palette import made_up_colors
 import pytest
 
 SMALL = """

@@ -12,7 +12,8 @@ from persem_ros.inputs.decode import messages
 from persem_ros.inputs.recording.recording import Recording
 from persem_ros.outputs.recording.writer import RecordingWriter
 from persem_ros.settings.config import Config
-from persem_ros.settings.legend import Legend, load_legend
+from persem_ros.settings.legend import Legend
+from persem_ros.settings.legend_files import load_legend
 from persem_ros.simulate import materials as mat, terrain as land
 from persem_ros.simulate.fields import make_field
 from persem_ros.simulate.flight import BODY, Flight, MAP, OPTICAL, Plan, START

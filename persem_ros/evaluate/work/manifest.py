@@ -19,7 +19,7 @@ from persem_ros.inputs.recording.finding import split
 from persem_ros.outputs.files import replacing, write_json
 from persem_ros.outputs.results import rundir
 from persem_ros.settings.config import settings
-from persem_ros.settings.legend import load_legend
+from persem_ros.settings.legend_files import load_legend
 
 if TYPE_CHECKING:
     from persem_ros.evaluate.work.task import Task

@@ -32,7 +32,8 @@ from persem_ros.preflight.look import opened
 from persem_ros.preflight.voxel_fit import VoxelFit
 from persem_ros.settings.config import IMAGE_METHODS, METHODS
 from persem_ros.settings.heights import hinted
-from persem_ros.settings.legend import Legend, load_legend
+from persem_ros.settings.legend import Legend
+from persem_ros.settings.legend_files import load_legend
 
 if TYPE_CHECKING:
     from persem_ros.evaluate.work.task import Task

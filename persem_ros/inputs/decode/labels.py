@@ -10,7 +10,8 @@ from persem_ros.core.jit import cached
 from persem_ros.inputs.decode import image_messages
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.settings.config import Labels
-from persem_ros.settings.legend import Legend, load_legend, shipped_legends
+from persem_ros.settings.legend import Legend
+from persem_ros.settings.legend_files import load_legend, shipped_legends
 
 CHANNELS = 'rgba'
 LEGEND = 'legend'

@@ -10,7 +10,9 @@ from persem_ros.errors import PersemError
 from persem_ros.frames import MAX_ID
 from persem_ros.guard.words import short
 from persem_ros.inputs.decode.messages import BadMessage, stamp_ns
-from persem_ros.settings.legend import Legend, LegendClass, made_up_colors
+from persem_ros.settings.legend import Legend
+from persem_ros.settings.legend_class import LegendClass
+from persem_ros.settings.palette import made_up_colors
 
 STRING = 'std_msgs/msg/String'
 LABEL_INFO = 'vision_msgs/msg/LabelInfo'

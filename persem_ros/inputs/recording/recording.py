@@ -22,7 +22,8 @@ from persem_ros.inputs.recording.topics import Choice, first_messages, links
 from persem_ros.inputs.sync.pairing import UNUSED
 from persem_ros.inputs.sync.poses import PoseBuffer
 from persem_ros.settings.config import frame_of
-from persem_ros.settings.legend import Legend, load_legend
+from persem_ros.settings.legend import Legend
+from persem_ros.settings.legend_files import load_legend
 
 if TYPE_CHECKING:
     from pathlib import Path

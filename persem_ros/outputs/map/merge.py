@@ -11,7 +11,8 @@ from persem_ros.core.frame.sessions import (
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.errors import PersemError
 from persem_ros.outputs.map.store import StoredMap
-from persem_ros.settings.legend import Legend, LegendClass
+from persem_ros.settings.legend import Legend
+from persem_ros.settings.legend_class import LegendClass
 
 LAST_ID = 65534
 
