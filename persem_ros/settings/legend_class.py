@@ -9,8 +9,8 @@ import math
 from persem_ros.errors import PersemError
 from persem_ros.frames import MAX_ID, UNKNOWN
 from persem_ros.guard.words import short
-from persem_ros.settings.config import nearest
 from persem_ros.settings.palette import made_up
+from persem_ros.settings.setting import nearest
 import yaml
 
 FIELDS = ('id', 'name', 'color', 'group', 'ignored', 'dynamic', 'cost', 'las', 'height')

@@ -10,8 +10,8 @@ import sys
 import sysconfig
 
 from persem_ros.errors import PersemError
-from persem_ros.settings.config import nearest
 from persem_ros.settings.legend import Legend
+from persem_ros.settings.setting import nearest
 
 
 def load_legend(name: Path | str) -> Legend:
