@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from persem_ros.core.geometry.columns import Columns, columns_of
 from persem_ros.core.geometry.ground import Ground
 from persem_ros.core.geometry.labelling import SMOOTHED
-from persem_ros.core.geometry.relief import Change, read_bits, Relief
+from persem_ros.core.geometry.occupied import read_bits
+from persem_ros.core.geometry.relief import Change, Relief
 from persem_ros.core.geometry.shape import RADIUS
 from persem_ros.core.geometry.spread import spread
 from persem_ros.core.geometry.upright import up_of, upright
