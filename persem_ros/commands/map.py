@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
     from persem_ros.core.memory.dump import MemoryDump
-    from persem_ros.outputs.map.store import StoredMap
+    from persem_ros.outputs.map.stored import StoredMap
 
 
 def add_parser(subparsers: _SubParsersAction[Any]) -> None:
@@ -52,7 +52,7 @@ def add_parser(subparsers: _SubParsersAction[Any]) -> None:
 def info(args: Namespace) -> None:
     """Print what the map file holds."""
     import numpy as np
-    from persem_ros.outputs.map.store import load
+    from persem_ros.outputs.map.loading import load
     from persem_ros.settings.config import settings
     from persem_ros.settings.parameter_file import scalar
     stored = load(args.file)

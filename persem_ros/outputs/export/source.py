@@ -16,8 +16,8 @@ from persem_ros.errors import PersemError
 from persem_ros.guard.database import checked, held_by
 from persem_ros.outputs.map import schema1
 from persem_ros.outputs.map.checks import FARTHEST_BLOCK
+from persem_ros.outputs.map.loading import reading
 from persem_ros.outputs.map.rows import about_of, columns_of, matrices
-from persem_ros.outputs.map.store import reading
 from persem_ros.outputs.map.tables import KINDS, ORDER
 from persem_ros.outputs.progress import progress
 from persem_ros.settings import config_file

@@ -13,7 +13,7 @@ from persem_ros.outputs.map.cloud import SOURCES
 
 if TYPE_CHECKING:
     from persem_ros.core.memory.frame_table import FrameTable
-    from persem_ros.outputs.map.store import StoredMap
+    from persem_ros.outputs.map.stored import StoredMap
     from persem_ros.settings.config import Refine
     from persem_ros.settings.legend import Legend
 

@@ -10,7 +10,7 @@ from persem_ros.core.frame.sessions import (
     add_session, fingerprint, keep_looks, nothing_forgotten, whole)
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.errors import PersemError
-from persem_ros.outputs.map.store import StoredMap
+from persem_ros.outputs.map.stored import StoredMap
 from persem_ros.settings.legend import Legend
 from persem_ros.settings.legend_class import LegendClass
 

@@ -11,7 +11,7 @@ from persem_ros.core.memory.dump import MemoryDump
 from persem_ros.core.memory.move import corrected, correction_of, moved
 from persem_ros.core.trajectory import Trajectory
 from persem_ros.errors import PersemError
-from persem_ros.outputs.map.store import StoredMap
+from persem_ros.outputs.map.stored import StoredMap
 
 
 def session_of(stored: StoredMap, trajectory: Trajectory, wanted: int | None = None) -> int:

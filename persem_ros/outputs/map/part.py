@@ -11,11 +11,11 @@ from persem_ros.core.geometry.kept import fitted_by
 from persem_ros.core.memory.pools import SIDE
 from persem_ros.core.refine.explain import explain
 from persem_ros.outputs.map.explanation import explanation, of_file
-from persem_ros.outputs.map.store import head, load, load_part
+from persem_ros.outputs.map.loading import head, load, load_part
 
 if TYPE_CHECKING:
     from persem_ros.core.memory.voxel_memory import VoxelMemory
-    from persem_ros.outputs.map.store import StoredMap
+    from persem_ros.outputs.map.stored import StoredMap
     from persem_ros.settings.config import Refine
 
 RINGS = 6           # voxels around that count, besides the columns that the ground is found in

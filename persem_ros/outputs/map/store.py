@@ -9,9 +9,8 @@ Any SQLite program reads the file; docs/map_file.md describes the columns.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import closing, contextmanager
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from contextlib import closing
 import logging
 from pathlib import Path
 import shutil
@@ -19,105 +18,29 @@ import sqlite3
 import struct
 from typing import Any, TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
 from persem_ros.core.memory.capture import Parts
-from persem_ros.core.memory.dump import Blocks, load as load_memory, MemoryDump
+from persem_ros.core.memory.dump import MemoryDump
 from persem_ros.errors import PersemError
-from persem_ros.guard.database import (
-    check_beside, check_tables, checked, harden, held_by, journal_of, opened,
-    Unsafe)
+from persem_ros.guard.database import check_beside, harden, held_by, journal_of, Unsafe
 from persem_ros.outputs.files import replacing
-from persem_ros.outputs.map import schema1
+from persem_ros.outputs.map.loading import (
+    APPLICATION, head, load, load_blocks, load_part, reading, why)
 from persem_ros.outputs.map.lock import WriterLock
-from persem_ros.outputs.map.rows import blocks_of, from_rows, to_rows
-from persem_ros.outputs.map.tables import (
-    bring_up, check_ours, declared, KINDS, Kinds, NAMES, ORDER, SCHEMA, TABLES)
+from persem_ros.outputs.map.rows import to_rows
+from persem_ros.outputs.map.stored import Head, StoredMap
+from persem_ros.outputs.map.tables import bring_up, check_ours, declared, SCHEMA, TABLES
 from persem_ros.settings import config_file
-from persem_ros.settings.legend import Legend
 
 if TYPE_CHECKING:
     from persem_ros.core.memory.voxel_memory import VoxelMemory
     from persem_ros.settings.config import Config
+    from persem_ros.settings.legend import Legend
 
 log = logging.getLogger(__name__)
 
-APPLICATION = 0x50455253        # 'PERS', in the header of every map file
-EXPECTED = 'expected a .persem file, as a replay or ~/save_map leaves it'
-
-
-@dataclass(frozen=True, eq=False)
-class StoredMap:
-    """
-    What a map file holds.
-
-    Attributes
-    ----------
-    path : Path
-    saved : persem_ros.core.memory.dump.MemoryDump
-    map_frame : str
-        The coordinate frame in which the voxels lie.
-    settings : str
-        YAML text of the settings in force when it was saved.
-    legend : persem_ros.settings.legend.Legend
-
-    """
-
-    path: Path
-    saved: MemoryDump
-    map_frame: str
-    settings: str
-    legend: Legend
-
-    def memory(self, config: Config | None = None) -> VoxelMemory:
-        """
-        Return a VoxelMemory that goes on exactly where the saved one stood.
-
-        Parameters
-        ----------
-        config : Config, optional
-            Settings with which mapping goes on.
-
-        Raises
-        ------
-        PersemError
-            Where voxels of these settings would not fit the map's.
-
-        """
-        saved = self.saved
-        if config is not None:
-            self.check_fits(config)
-            self.warn_of_history(config)
-            saved = replace(saved, max_history=config.memory.max_history)
-        return load_memory(saved)
-
-    def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the corners (3,) of all voxels' centres, metres in the map frame."""
-        saved = self.saved
-        voxel = saved.voxels()
-        return tuple((corner + 0.5) * saved.voxel_size + np.array(saved.origin)
-                     for corner in (voxel.min(axis=0), voxel.max(axis=0)))
-
-    def config(self) -> Config:
-        """Return the Config in force when the map was saved."""
-        return config_file.from_text(self.settings, f'settings in {self.path}')
-
-    def check_fits(self, config: Config) -> None:
-        """Refuse settings whose voxels are other ones."""
-        for name, mine, other in (
-                ('memory.voxel_size', self.saved.voxel_size, config.memory.voxel_size),
-                ('map.origin', list(self.saved.origin), list(config.map.origin)),
-                ('frames.map', self.map_frame, config.frames.map)):
-            if mine != other:
-                raise PersemError(f'{self.path} was made with {name} {mine}, now it is {other}; '
-                                  f'give {name} {mine} or another map.path')
-
-    def warn_of_history(self, config: Config) -> None:
-        """Say where settings ask for observations that the map has let go of."""
-        kept, wanted = self.saved.max_history, config.memory.max_history
-        if kept and not 0 < wanted <= kept:
-            log.warning('%s holds the newest %d observations of each voxel; older ones do '
-                        'not come back with memory.max_history %d', self.path, kept, wanted)
+# Saving is here, reading in loading.py; whoever does both needs this module only.
+__all__ = ('Head', 'SCHEMA', 'StoredMap', 'copy', 'declared_as_ours', 'fold_log', 'head', 'load',
+           'load_blocks', 'load_part', 'reading', 'save', 'write')
 
 
 def save(path: Path | str, memory: VoxelMemory | MemoryDump, config: Config,
@@ -207,7 +130,7 @@ def fold_log(path: Path | str, locked: bool = False) -> None:
             db.execute('PRAGMA journal_mode = DELETE').fetchall()
     except (sqlite3.Error, ValueError) as error:
         raise PersemError(f'{path}: damaged, or its log cannot be brought into it '
-                          f'({_why(error)}); move both aside') from error
+                          f'({why(error)}); move both aside') from error
     finally:
         if lock is not None:
             lock.close()
@@ -271,125 +194,6 @@ def _keep_schema_1(path: Any) -> None:
         pass
 
 
-def load(path: Path | str) -> StoredMap:
-    """
-    Return the StoredMap in a file; one that is being written: as of its last checkpoint.
-
-    Raises
-    ------
-    PersemError
-        For a file that is missing, foreign, of another schema, or damaged.
-
-    """
-    return _read(Path(path), '').stored
-
-
-def load_part(path: Path | str, low: Sequence[int], high: Sequence[int]) -> StoredMap:
-    """Return what load() does, but only of blocks whose indices lie within *low* … *high*."""
-    return _read(Path(path), _within(low, high)).stored
-
-
-def _within(low: Sequence[int], high: Sequence[int]) -> str:
-    """Return the WHERE of the blocks whose indices lie within *low* … *high*."""
-    return 'WHERE ' + ' AND '.join(f'{axis} BETWEEN {int(least)} AND {int(most)}'
-                                   for axis, least, most in zip('xyz', low, high))
-
-
-def load_blocks(path: Path | str, low: Sequence[int], high: Sequence[int]) -> Blocks:
-    """Return the blocks that load_part() does, alone; whether they fit anything is not checked."""
-    with reading(Path(path)) as (db, _):
-        return blocks_of(list(checked(
-            db.execute(f'SELECT * FROM blocks {_within(low, high)} ORDER BY {ORDER["blocks"]}'),
-            KINDS['blocks'], held_by(Path(path)))))
-
-
-@dataclass(frozen=True, eq=False)
-class Head:
-    """All of a map file but its blocks: a StoredMap without any, the table about, the schema."""
-
-    stored: StoredMap
-    about: dict[str, Any]
-    schema: int
-
-
-def head(path: Path | str) -> Head:
-    """Return the Head of a file; raises as load() does."""
-    return _read(Path(path), None)
-
-
-def _read(path: Path, which: str | None) -> Head:
-    """Return what a file holds, with all blocks (''), those of a WHERE, or without (None)."""
-    with reading(path) as (db, first):
-        names = schema1.NAMES if first else NAMES
-        kinds: dict[str, Kinds] = schema1.KINDS if first else KINDS
-        size = held_by(path)
-        where = dict.fromkeys(ORDER, '') | {'blocks': which}
-        rows: dict[str, Any] = {table: list(checked(
-            db.execute(f'SELECT * FROM {table} {where[table]} ORDER BY {ORDER[table]}'),
-            kinds[table], size))
-            for table in ORDER if table in names and where[table] is not None}
-        about, saved = from_rows(rows, part=bool(which))
-    legend = Legend.from_yaml(about['legend'], str(path)) if about['legend'] else Legend()
-    return Head(StoredMap(path, saved, about['map_frame'], about['settings'], legend),
-                dict(rows['about']), 1 if first else SCHEMA)
-
-
-@contextmanager
-def reading(path: Path) -> Iterator[tuple[sqlite3.Connection, bool]]:
-    """
-    Open a map file to be read piece by piece; give it, and whether it is of schema 1.
-
-    All is of one moment, also where the file is being written.
-
-    Raises
-    ------
-    PersemError
-        As load() does, also for what is found to be damaged inside of the block.
-
-    """
-    _check_magic(path)
-    try:
-        with closing(opened(path, living=True)) as db:
-            db.execute('BEGIN')
-            first = _schema(db, path) == 1
-            if first:
-                check_tables(db, schema1.NAMES)
-            else:
-                check_ours(db)
-            yield db, first
-    except (sqlite3.Error, sqlite3.Warning, KeyError, TypeError, ValueError, IndexError,
-            OverflowError, struct.error) as error:
-        raise PersemError(f'{path}: damaged ({_why(error)}); expected a whole map file, restore '
-                          'it from a copy') from error
-
-
-def _check_magic(path: Path) -> None:
-    """Refuse a file that is not there, cannot be read or is no database at all."""
-    try:
-        with open(path, 'rb') as file:
-            magic = file.read(16)
-    except IsADirectoryError:
-        inside = path / 'map.persem'
-        what = f'did you mean {inside}?' if inside.is_file() else EXPECTED
-        raise PersemError(f'{path}: is a folder; {what}') from None
-    except OSError as error:
-        raise PersemError(f'{path}: cannot be read ({error.strerror}); {EXPECTED}') from None
-    if magic != b'SQLite format 3\0':
-        raise PersemError(f'{path}: not a map file; {EXPECTED}')
-
-
-def _schema(db: sqlite3.Connection, path: Path) -> int:
-    """Return the schema of a map file; refuse another database, or a schema not known."""
-    application = db.execute('PRAGMA application_id').fetchone()[0]
-    schema: int = db.execute('PRAGMA user_version').fetchone()[0]
-    if application != APPLICATION:
-        raise PersemError(f'{path}: a database, but not a map file; {EXPECTED}')
-    if not 1 <= schema <= SCHEMA:
-        raise PersemError(f'{path}: a map file of schema {schema}, expected schema {SCHEMA}; '
-                          'use the version of persem_ros that wrote it, or replay the recording')
-    return schema
-
-
 def _insert(db: sqlite3.Connection, table: str, rows: Iterable[Any]) -> None:
     """Insert all rows, whose number of columns the first one tells."""
     left = iter(rows)
@@ -398,11 +202,3 @@ def _insert(db: sqlite3.Connection, table: str, rows: Iterable[Any]) -> None:
         statement = f'INSERT INTO {table} VALUES ({", ".join("?" * len(first))})'
         db.execute(statement, first)
         db.executemany(statement, left)
-
-
-def _why(error: Exception) -> str:
-    """Return what is damaged, in a few words."""
-    text = str(error) if isinstance(error, (sqlite3.Error, ValueError)) else ''
-    if text == 'interrupted':       # by guard.database.limit_steps
-        return 'reading it takes more steps than a file of its size needs'
-    return ' '.join(text.split())[:60] or type(error).__name__
