@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.memory.pools import ranges
 from persem_ros.errors import PersemError
-from persem_ros.outputs.export.source import Choice, labels_of, MapSource
+from persem_ros.outputs.export.choice import Choice, labels_of
+from persem_ros.outputs.export.source import MapSource
 from persem_ros.outputs.map import store
 from persem_ros.outputs.map.cloud import SOURCES
 from persem_ros.outputs.map.part import explained, surroundings

@@ -95,7 +95,8 @@ def query(args: Namespace) -> None:
 def _nearest(path: str, point: NDArray[np.float64]) -> str:
     """Return words that name the observed voxel nearest to a point."""
     import numpy as np
-    from persem_ros.outputs.export.source import Choice, MapSource
+    from persem_ros.outputs.export.choice import Choice
+    from persem_ros.outputs.export.source import MapSource
     source, best = MapSource(path), (np.inf, point)
     for columns in source.chunks(Choice(gone=True)):
         centres = source.centres(columns['voxel'])

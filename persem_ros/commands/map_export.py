@@ -11,7 +11,8 @@ from persem_ros.errors import PersemError
 if TYPE_CHECKING:
     from argparse import _SubParsersAction, Namespace
 
-    from persem_ros.outputs.export.source import Choice, MapSource
+    from persem_ros.outputs.export.choice import Choice
+    from persem_ros.outputs.export.source import MapSource
     from persem_ros.settings.config import Config
     from persem_ros.settings.legend import Legend
 
@@ -170,7 +171,7 @@ def _changed(source: MapSource, items: list[str]) -> Config:
 
 def _choice(args: Namespace, legend: Legend) -> Choice:
     """Return the Choice that the options make."""
-    from persem_ros.outputs.export.source import Choice, labels_of
+    from persem_ros.outputs.export.choice import Choice, labels_of
     words = [part.strip() for part in (args.classes or '').split(',') if part.strip()]
     if args.classes is not None and not words:
         raise PersemError('--classes names no class; leave it out for all of them')

@@ -8,9 +8,9 @@ from typing import Any, TYPE_CHECKING
 
 from persem_ros.inputs.decode import image_messages
 from persem_ros.inputs.decode.messages import BadMessage
+from persem_ros.inputs.recording.first_messages import TRIED
+from persem_ros.inputs.recording.kinds import COMPRESSED, DISPARITY, IMAGE, INFO, POSES, TF
 from persem_ros.inputs.recording.stamps import stamp_of
-from persem_ros.inputs.recording.topics import (
-    COMPRESSED, DISPARITY, IMAGE, INFO, POSES, TF, TRIED)
 
 if TYPE_CHECKING:
     from persem_ros.inputs.recording.source import Head, Source

@@ -12,9 +12,11 @@ from persem_ros.inputs.assemble import Assembler
 from persem_ros.inputs.decode import messages, pose_messages
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.recording import latched
+from persem_ros.inputs.recording.first_messages import first_messages
+from persem_ros.inputs.recording.kinds import INFO, POINTS
 from persem_ros.inputs.recording.source import Head, Source, TopicInfo
 from persem_ros.inputs.recording.stamps import stamp_of
-from persem_ros.inputs.recording.topics import Choice, first_messages, INFO, POINTS
+from persem_ros.inputs.recording.topics import Choice
 from persem_ros.inputs.sync.poses import PoseBuffer
 from persem_ros.preflight.depth_fit import measured
 from persem_ros.preflight.sample import Sample, Shot, View

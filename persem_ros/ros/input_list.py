@@ -11,7 +11,7 @@ from persem_ros.errors import PersemError
 from persem_ros.inputs.decode import px4
 from persem_ros.inputs.intake import (
     INFO, LABELS_INFO, LEGEND, ORDER, POSE, TF, TRAJECTORY)
-from persem_ros.inputs.recording.topics import roles_of
+from persem_ros.inputs.recording.kinds import roles_of
 from persem_ros.inputs.sync.match import COLOR, CONFIDENCE, DEPTH, DEPTH_CONFIDENCE, LABELS
 from persem_ros.inputs.sync.poses import PoseBuffer
 from persem_ros.ros.messages import DisparityImage, INSTALL, LabelInfo, VehicleOdometry

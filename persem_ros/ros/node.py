@@ -13,7 +13,7 @@ from persem_ros.guard import limits
 from persem_ros.inputs.decode.serialized import Decoder
 from persem_ros.inputs.live import LiveIntake
 from persem_ros.inputs.names import Names
-from persem_ros.inputs.recording.topics import roles_of
+from persem_ros.inputs.recording.kinds import roles_of
 from persem_ros.inputs.sync.match import LABELS
 from persem_ros.ros.clicked import ClickedPoint
 from persem_ros.ros.counters import Statistics

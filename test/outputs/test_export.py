@@ -10,12 +10,13 @@ import old_maps
 from persem_ros.cli import main
 from persem_ros.core.memory.capture import dump
 from persem_ros.errors import PersemError
+from persem_ros.outputs.export.choice import Choice
 from persem_ros.outputs.export.faces import outer_faces
 from persem_ros.outputs.export.las import write_las
 from persem_ros.outputs.export.mesh import write_mesh
 from persem_ros.outputs.export.nav2 import grid_of, write_nav2
 from persem_ros.outputs.export.raster import write_geotiff
-from persem_ros.outputs.export.source import Choice, MapSource
+from persem_ros.outputs.export.source import MapSource
 from persem_ros.outputs.export.tables import VOXEL, write_npz, write_parquet
 from persem_ros.outputs.map import store
 from persem_ros.settings.config import Config, updated

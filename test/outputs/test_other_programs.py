@@ -9,8 +9,9 @@ import subprocess
 import cv2
 import numpy as np
 from persem_ros.cli import main
+from persem_ros.outputs.export.choice import Choice
 from persem_ros.outputs.export.nav2 import write_nav2
-from persem_ros.outputs.export.source import Choice, MapSource
+from persem_ros.outputs.export.source import MapSource
 from persem_ros.outputs.map.cloud import colors_of, map_points
 import pytest
 from small_maps import written

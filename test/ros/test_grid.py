@@ -5,8 +5,9 @@ from harness import LATCHED, Player, until
 from map_msgs.msg import OccupancyGridUpdate
 from nav_msgs.msg import OccupancyGrid
 import numpy as np
+from persem_ros.outputs.export.choice import Choice
 from persem_ros.outputs.export.nav2 import grid_of
-from persem_ros.outputs.export.source import Choice, MapSource
+from persem_ros.outputs.export.source import MapSource
 
 FRAMES = 8
 LEGEND = 'classes:\n' + '\n'.join(f'- {{id: {c}, name: c{c}, cost: {20 * c}}}'

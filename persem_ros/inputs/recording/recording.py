@@ -15,10 +15,11 @@ from persem_ros.inputs.decode import messages, pose_messages
 from persem_ros.inputs.decode.messages import BadMessage
 from persem_ros.inputs.recording import latched
 from persem_ros.inputs.recording.excerpt import Excerpt, WHOLE
+from persem_ros.inputs.recording.first_messages import first_messages, links
 from persem_ros.inputs.recording.index import Index
 from persem_ros.inputs.recording.reading import Reading
 from persem_ros.inputs.recording.source import Source
-from persem_ros.inputs.recording.topics import Choice, first_messages, links
+from persem_ros.inputs.recording.topics import Choice
 from persem_ros.inputs.sync.pairing import UNUSED
 from persem_ros.inputs.sync.poses import PoseBuffer
 from persem_ros.settings.config import frame_of

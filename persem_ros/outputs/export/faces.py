@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from persem_ros.core.memory.pools import SIDE
 
 if TYPE_CHECKING:
-    from persem_ros.outputs.export.source import Choice, Columns, MapSource
+    from persem_ros.outputs.export.choice import Choice
+    from persem_ros.outputs.export.columns import Columns
+    from persem_ros.outputs.export.source import MapSource
 
 # Sides -x +x -y +y -z +z and the corners of each, counter-clockwise as seen from outside.
 STEPS = np.array([[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1]])

@@ -15,8 +15,8 @@ from persem_ros.errors import PersemError
 from persem_ros.guard.database import check_declared, harden, Unsafe
 from persem_ros.outputs.export.libraries import needed
 from persem_ros.outputs.export.place import Place, projected
-from persem_ros.outputs.map.lock import WriterLock
 from persem_ros.outputs.map.loading import reading
+from persem_ros.outputs.map.lock import WriterLock
 from persem_ros.outputs.map.rows import about_rows, crc_of
 from persem_ros.outputs.map.store import declared_as_ours, fold_log
 from persem_ros.outputs.map.tables import ORDER, TABLES

@@ -14,7 +14,9 @@ from persem_ros.outputs.export.place import place_of, projected
 from persem_ros.outputs.files import replacing
 
 if TYPE_CHECKING:
-    from persem_ros.outputs.export.source import Choice, Columns, MapSource
+    from persem_ros.outputs.export.choice import Choice
+    from persem_ros.outputs.export.columns import Columns
+    from persem_ros.outputs.export.source import MapSource
     from persem_ros.settings.legend import Legend
 
 UNCLASSIFIED = 1            # the ASPRS code of what has no other

@@ -15,7 +15,8 @@ from persem_ros.outputs.files import replacing, write_bytes
 from persem_ros.outputs.map.ply import map_comments
 
 if TYPE_CHECKING:
-    from persem_ros.outputs.export.source import Choice, MapSource
+    from persem_ros.outputs.export.choice import Choice
+    from persem_ros.outputs.export.source import MapSource
 
 MOST_GLB = 20_000_000       # faces: a .glb is held in memory while it is written, and cannot
 #                             count more than 4 GB; viewers give up earlier

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from persem_ros.core.geometry.ground import ground_of, keys_of
 from persem_ros.core.memory.pools import SIDE
 from persem_ros.errors import PersemError
-from persem_ros.outputs.export.source import Choice
+from persem_ros.outputs.export.choice import Choice
 from persem_ros.outputs.files import write_bytes, write_text
 from persem_ros.outputs.grid.cells import Cells, cells_of, MOST_CELLS
 from persem_ros.outputs.grid.rule import costs_of, lowest_of, rule_of, UNKNOWN_CLASS

@@ -19,8 +19,10 @@ from persem_ros.outputs.files import replacing, write_text
 from persem_ros.outputs.grid.cells import MOST_CELLS
 
 if TYPE_CHECKING:
+    from persem_ros.outputs.export.choice import Choice
+    from persem_ros.outputs.export.columns import Columns
     from persem_ros.outputs.export.place import Place
-    from persem_ros.outputs.export.source import Choice, Columns, MapSource
+    from persem_ros.outputs.export.source import MapSource
     from persem_ros.settings.legend import Legend
 
 TILE = 256                  # pixels along a tile's edge

@@ -11,71 +11,21 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.memory.pools import SIDE
 from persem_ros.errors import PersemError
 from persem_ros.guard.database import checked, held_by
+from persem_ros.outputs.export.choice import Choice
+from persem_ros.outputs.export.columns import Columns, decoded, kept
 from persem_ros.outputs.map import schema1
 from persem_ros.outputs.map.checks import FARTHEST_BLOCK
 from persem_ros.outputs.map.loading import reading
-from persem_ros.outputs.map.rows import about_of, columns_of, matrices
+from persem_ros.outputs.map.rows import about_of, matrices
 from persem_ros.outputs.map.tables import KINDS, ORDER
 from persem_ros.outputs.progress import progress
 from persem_ros.settings import config_file
-from persem_ros.settings.config import Config, nearest
+from persem_ros.settings.config import Config
 from persem_ros.settings.legend import Legend
 
 BLOCKS = 256            # read at a time
-Columns = dict[str, NDArray[Any]]
-
-
-@dataclass(frozen=True)
-class Choice:
-    """
-    Which voxels are meant; a box without an inside is refused (PersemError).
-
-    Attributes
-    ----------
-    min_observations : int
-    crop : tuple of 6 float, optional
-        x0 y0 z0 x1 y1 z1 in metres in the map frame; a voxel's centre must lie within.
-    labels : frozenset of int
-        Only these refined labels; empty: all.
-    gone : bool
-        Whether voxels whose content moved away are among them.
-
-    """
-
-    min_observations: int = 1
-    crop: tuple[float, ...] | None = None
-    labels: frozenset[int] = frozenset()
-    gone: bool = False
-
-    def __post_init__(self) -> None:
-        """Look at the box."""
-        if self.crop is not None and not (len(self.crop) == 6 and all(
-                low < high for low, high in zip(self.crop[:3], self.crop[3:]))):
-            raise PersemError('a box: expected x0 y0 z0 x1 y1 z1 with x0 < x1, y0 < y1 and '
-                              f'z0 < z1, got {" ".join(f"{x:g}" for x in self.crop)}')
-
-
-def labels_of(words: Iterable[int | str], legend: Legend) -> frozenset[int]:
-    """
-    Return the ids of classes that are given by name or id.
-
-    Raises
-    ------
-    PersemError
-        For a name that the legend does not have.
-
-    """
-    by_name = {legend.name(c): c for c in legend.ids}
-    found = set()
-    for word in words:
-        if isinstance(word, str) and word not in by_name and not word.isdigit():
-            raise PersemError(f'there is no class {word!r}{nearest(word, by_name)}; the map has '
-                              + (', '.join(list(by_name)[:20]) or 'no legend: give ids'))
-        found.add(by_name.get(word, word) if isinstance(word, str) else word)
-    return frozenset(map(int, found))
 
 
 @dataclass
@@ -184,11 +134,11 @@ class MapSource:
                     raise ValueError('a block twice')
                 before = row[:3]
                 if len(rows) >= blocks and row[:2] != rows[-1][:2]:
-                    yield self._chosen(_decoded(rows, first), choice)
+                    yield self._chosen(decoded(rows, first), choice)
                     rows = []
                 rows.append(row)
             if rows:
-                yield self._chosen(_decoded(rows, first), choice)
+                yield self._chosen(decoded(rows, first), choice)
 
     def index(self, since: int = 0) -> tuple[NDArray[np.int32], int]:
         """
@@ -223,7 +173,7 @@ class MapSource:
                 'SELECT * FROM blocks WHERE x = ? AND y = ? AND z = ?', key))
             kinds: Any = (schema1.KINDS if first else KINDS)['blocks']
             rows: list[Any] = list(checked(found, kinds, held_by(self.path)))
-            return self._chosen(_decoded(rows, first), choice or Choice())
+            return self._chosen(decoded(rows, first), choice or Choice())
 
     def _catch_up(self, db: Any) -> None:
         """Read the frames that a living map has had since it was opened."""
@@ -294,56 +244,7 @@ class MapSource:
             low, high = np.array(choice.crop[:3]), np.array(choice.crop[3:])
             centres = self.centres(columns['voxel'])
             keep &= ((centres >= low) & (centres <= high)).all(axis=1)
-        return columns if keep.all() else _kept(columns, keep)
-
-
-def _decoded(rows: list[Any], first: bool) -> Columns:
-    """Return the columns of all voxels of some blocks; ValueError for damaged ones."""
-    raw = columns_of(rows, first)
-    count = np.array([row[3] for row in rows], np.int64)
-    n = len(raw['cell'])
-    start, history = (np.concatenate([[0], np.cumsum(raw[f'{name}_count'], dtype=np.int64)])
-                      for name in ('evidence', 'history'))
-    newest = raw['history_t' if first else 'history_frame']
-    if count.sum() != n or raw['cell'].max(initial=0) >= SIDE ** 3 or \
-            start[-1] != len(raw['evidence_class']) or len(raw['evidence_sum']) != start[-1] or \
-            history[-1] != len(newest) or not (np.diff(history) > 0).all() or \
-            any(len(raw[name]) != n for name in ('observations', 'switches', 'label',
-                                                 'majority', 'source')):
-        raise ValueError('length of a column')
-    cell = raw['cell'].astype(np.int32)
-    corner = np.repeat(np.array([row[:3] for row in rows], np.int64).reshape(-1, 3) * SIDE,
-                       count, axis=0)
-    if (np.abs(corner) >= 2 ** 31 - 2 * SIDE).any():
-        raise ValueError('place of a block')
-    voxel = corner.astype(np.int32) + np.stack([cell >> 6, cell >> 3 & 7, cell & 7], axis=1)
-    owner = np.repeat(np.arange(n), np.diff(start))
-    total = np.bincount(owner, raw['evidence_sum'], n)
-    if not (total > 0).all() or not np.isfinite(total).all():
-        raise ValueError('evidence')
-    share = raw['evidence_sum'] / total[owner]
-    own = np.bincount(owner, np.where(raw['evidence_class'] == raw['label'][owner], share, 0), n)
-    posterior = np.zeros(n, np.float32) if first else raw['posterior']
-    return {'voxel': voxel, 'label': raw['label'], 'majority': raw['majority'],
-            'confidence': np.where(posterior > 0, posterior, own).astype(np.float32),
-            'observations': raw['observations'], 'switches': raw['switches'],
-            'source': raw['source'],
-            'gone': np.zeros(n, np.uint8) if first else raw['gone'],
-            'first_seen': newest[history[:-1]], 'last_seen': newest[history[1:] - 1],
-            'start': start, 'classes': raw['evidence_class'],
-            'probabilities': share.astype(np.float32)}
-
-
-def _kept(columns: Columns, keep: NDArray[np.bool_]) -> Columns:
-    """Return the columns of some of the voxels."""
-    length = np.diff(columns['start'])
-    entries = np.repeat(keep, length)
-    result = {name: column[keep] for name, column in columns.items()
-              if name not in ('start', 'classes', 'probabilities')}
-    result['start'] = np.concatenate([[0], np.cumsum(length[keep])])
-    for name in ('classes', 'probabilities'):
-        result[name] = columns[name][entries]
-    return result
+        return columns if keep.all() else kept(columns, keep)
 
 
 def _point(xyz: NDArray[np.float64]) -> str:

@@ -18,7 +18,9 @@ from persem_ros.outputs.export.place import place_of
 from persem_ros.outputs.files import replacing
 
 if TYPE_CHECKING:
-    from persem_ros.outputs.export.source import Choice, Columns, MapSource
+    from persem_ros.outputs.export.choice import Choice
+    from persem_ros.outputs.export.columns import Columns
+    from persem_ros.outputs.export.source import MapSource
 
 # Columns with one entry a voxel, as both formats have them; docs/exports.md describes them.
 VOXEL = ('label', 'majority', 'confidence', 'observations', 'switches', 'source', 'gone',

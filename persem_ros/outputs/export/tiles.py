@@ -15,7 +15,8 @@ from persem_ros.outputs.tiles.pyramid import Pyramid
 from persem_ros.outputs.tiles.tileset import DEEP, tileset
 
 if TYPE_CHECKING:
-    from persem_ros.outputs.export.source import Choice, MapSource
+    from persem_ros.outputs.export.choice import Choice
+    from persem_ros.outputs.export.source import MapSource
 
 
 def write_tiles(folder: Path | str, source: MapSource, choice: Choice) -> tuple[int, int]:

@@ -22,7 +22,9 @@ from persem_ros.core.memory.paging import Pager
 from persem_ros.core.memory.voxel_memory import ordered, sort_order
 from persem_ros.errors import PersemError
 from persem_ros.guard.database import checked, held_by
-from persem_ros.outputs.export.source import Choice, Columns, MapSource
+from persem_ros.outputs.export.choice import Choice
+from persem_ros.outputs.export.columns import Columns
+from persem_ros.outputs.export.source import MapSource
 from persem_ros.outputs.map import store
 from persem_ros.outputs.map.cloud import map_points, SOURCES
 from persem_ros.outputs.map.living import LivingMap

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from persem_ros.outputs.export.source import Columns
+    from persem_ros.outputs.export.columns import Columns
     from persem_ros.settings.legend import Legend
 
 EDGE = 64               # cells along a tile's edge

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.memory.pools import SIDE
-from persem_ros.outputs.export.source import Choice
+from persem_ros.outputs.export.choice import Choice
 from persem_ros.outputs.tiles.cells import EDGE, points_of, seen_most
 from persem_ros.outputs.tiles.octree import Octree, Tile, WITHIN
 
 if TYPE_CHECKING:
-    from persem_ros.outputs.export.source import Columns, MapSource
+    from persem_ros.outputs.export.columns import Columns
+    from persem_ros.outputs.export.source import MapSource
 
 SHOWN = ('label', 'confidence', 'observations', 'source', 'gone', 'last_stamp')
 AT_ONCE = 1024              # blocks that are read together

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.memory.pools import SIDE
 from persem_ros.errors import PersemError
-from persem_ros.outputs.export.source import Columns, MapSource
+from persem_ros.outputs.export.columns import Columns
+from persem_ros.outputs.export.source import MapSource
 from persem_ros.outputs.tiles.glb import glb
 from persem_ros.outputs.tiles.octree import Octree, Tile
 from persem_ros.outputs.tiles.pyramid import Pyramid
