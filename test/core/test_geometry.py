@@ -416,7 +416,7 @@ def test_the_sparse_form_as_the_reference(frames, constants, bound):
         return
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr('persem_ros.core.geometry.method.MOST_DENSE', 0)
-        patch.setattr('persem_ros.core.geometry.sparse.LIKELY', 2)
+        patch.setattr('persem_ros.core.geometry.sparse_parameters.LIKELY', 2)
         patch.setattr(plain, 'CANDIDATES', 2)
         settings = replace(GEOMETRY, geometry=constants)
         refine(memory, settings)

@@ -12,7 +12,7 @@ from persem_ros.core.geometry.looks import look, looks_from, model_of, pairs_of
 from persem_ros.core.geometry.method import relabel
 from persem_ros.core.geometry.parameters import estimate
 from persem_ros.core.geometry.schedule import Schedule
-from persem_ros.core.geometry.sparse import estimate_sparse
+from persem_ros.core.geometry.sparse_parameters import estimate_sparse
 from persem_ros.core.geometry.totals import arrays_of, sums_from, Totals
 from persem_ros.core.refine.reach import ASIDE, surrounded
 from persem_ros.core.refine.whole import refine

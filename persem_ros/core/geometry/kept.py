@@ -11,7 +11,8 @@ from persem_ros.core.geometry.entries import entries_of
 from persem_ros.core.geometry.groups import Cells, cells_from, cells_listed, KINDS, SHAPES
 from persem_ros.core.geometry.parameters import correlation, estimate, Parameters, Sums
 from persem_ros.core.geometry.posteriors import MOST as MOST_DENSE
-from persem_ros.core.geometry.sparse import estimate_sparse, SparseParameters, SparseSums
+from persem_ros.core.geometry.sparse_parameters import (
+    estimate_sparse, SparseParameters, SparseSums)
 from persem_ros.core.geometry.totals import Numbers
 from persem_ros.core.memory.pools import ranges
 from persem_ros.settings.heights import canonical

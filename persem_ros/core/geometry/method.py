@@ -16,7 +16,8 @@ from persem_ros.core.geometry.parameters import Parameters, Sums
 from persem_ros.core.geometry.posteriors import MOST as MOST_DENSE
 from persem_ros.core.geometry.schedule import fit
 from persem_ros.core.geometry.shape import occupy, shapes_of
-from persem_ros.core.geometry.sparse import Sparse, SparseParameters, SparseSums
+from persem_ros.core.geometry.sparse import Sparse
+from persem_ros.core.geometry.sparse_parameters import SparseParameters, SparseSums
 from persem_ros.core.geometry.upright import up_of, upright
 from persem_ros.core.geometry.votes import take_votes, Votes
 from persem_ros.core.memory.pools import ROWS

@@ -12,7 +12,7 @@ from persem_ros.core.geometry.ground import keys_of
 from persem_ros.core.geometry.groups import Cells, cells_listed, KINDS
 from persem_ros.core.geometry.parameters import estimate, Sums
 from persem_ros.core.geometry.posteriors import MOST as MOST_DENSE
-from persem_ros.core.geometry.sparse import estimate_sparse, SparseSums
+from persem_ros.core.geometry.sparse_parameters import estimate_sparse, SparseSums
 
 Any_Sums = Union[Sums, SparseSums]
 DENSE = 'fine', 'coarse', 'shifted'
