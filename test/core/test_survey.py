@@ -14,6 +14,7 @@ from persem_ros.core.memory.capture import dump
 from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.evict import keep_near
 from persem_ros.core.memory.pools import CLOCK
+from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine import sweep
 from persem_ros.core.refine.job import abandon, finish
 from persem_ros.core.refine.rules import at_rest, swept
@@ -204,6 +205,22 @@ def test_parameters_stay_until_others_are_there_and_a_class_that_comes_begins_an
     assert len(surveys) == 2 and 77 in memory.geometry.classes
     come_to_rest(memory, settings)
     assert_as_whole(memory, settings)
+
+
+def test_a_sweep_that_finds_none_of_the_classes_that_are_known_keeps_the_parameters():
+    def seen(c, stamp):
+        return memory_frame(stamp, {(0, 0, 0): (c, 1.0)}, (0.0, 0.0, 9.0))
+    memory = VoxelMemory(SIZE, ORIGIN, max_history=2)
+    for stamp, c in enumerate([1, 2, 2]):       # class 1 is read no more when they are fitted
+        memory.add(seen(c, stamp))
+    come_to_rest(memory, GEOMETRY)
+    known = memory.geometry.pi
+    for stamp in (3, 4, 5):
+        memory.add(seen(1, stamp))
+        come_to_rest(memory, GEOMETRY)
+    assert memory.geometry.pi.tolist() == known.tolist()
+    assert_as_whole(memory, GEOMETRY)
+    assert_refreshed(memory, GEOMETRY)
 
 
 def test_a_survey_that_another_method_ends_leaves_nothing_out():

@@ -48,8 +48,15 @@ class Tally:
             self.sums.add(sums)
 
     def parameters(self, before: Any_Parameters, shrink: float) -> Any_Parameters:
-        """Return the parameters that follow; those from before where nothing was counted."""
-        if not self.voxels:
+        """
+        Return the parameters that follow; those from before where no vote was counted.
+
+        That is also where all votes are for classes that they do not know: max_history had taken
+        these from sight when they were fitted.
+
+        """
+        counts = (0, 0) if self.sums is None else self.sums.confusion
+        if not np.any(counts[1] if isinstance(counts, tuple) else counts):
             return before
         rho = correlation(self.sums, before.rho)
         form = estimate if isinstance(before, Parameters) else estimate_sparse
