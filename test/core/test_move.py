@@ -11,8 +11,8 @@ from persem_ros.core.memory.capture import dump
 from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.frame_table import FrameTable, Session
 from persem_ros.core.memory.move import corrected, correction_of, moved
-from persem_ros.core.memory.regroup import ordered
 from persem_ros.core.memory.voxel_memory import VoxelMemory
+from persem_ros.core.memory.voxel_order import ordered
 from persem_ros.core.trajectory import between, Trajectory
 from persem_ros.core.transforms import inverse, matrix_to_quaternion, slerp, transform
 from persem_ros.errors import PersemError

@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from persem_ros.core.memory.displace import displace, leaving
 from persem_ros.core.memory.dump import MemoryDump
 from persem_ros.core.memory.frame_table import FrameTable
 from persem_ros.core.memory.pools import SIDE
-from persem_ros.core.memory.regroup import (
-    displace, group, leaving, meet, number, ordered, recount, voxels_of)
+from persem_ros.core.memory.regroup import group, meet, recount
+from persem_ros.core.memory.voxel_order import number, ordered, voxels_of
 from persem_ros.core.trajectory import Correction, correction, Trajectory
 from persem_ros.core.transforms import inverses
 from persem_ros.errors import PersemError
