@@ -11,6 +11,7 @@ and another one to the second half.
 """
 
 import argparse
+from dataclasses import replace
 import gc
 import json
 from pathlib import Path
@@ -38,7 +39,7 @@ MINUTE = 60 * RATE                      # frames
 CHECKPOINT = 10 * RATE                  # frames between checkpoints
 REFINE = RATE                           # frames between refinements
 SETTINGS = {'memory.voxel_size': 1.0, 'memory.max_voxels': 30_000, 'memory.max_history': 128,
-            'memory.stride': 1, 'refine.period': 0.1, 'map.attached': True}   # period: the least
+            'memory.stride': 1, 'map.attached': True}
 
 
 def ground(x, y):
@@ -126,7 +127,9 @@ class Soak:
     """
 
     def __init__(self, path, settings=()):
-        self.config = updated(Config(), {**SETTINGS, 'map.path': str(path), **dict(settings)})
+        config = updated(Config(), {**SETTINGS, 'map.path': str(path), **dict(settings)})
+        # REFINE counts frames; a clock would leave out refinements where frames come quickly.
+        self.config = replace(config, refine=replace(config.refine, period=0.0))
         self.path, self.living = path, LivingMap(path, self.config, Legend)
         self.pager = Pager(self.living.memory(), self.living)
         self.pipeline = Pipeline(self.config, self.pager.memory)
