@@ -81,23 +81,15 @@ def decoded(frame):
 
 
 def integration(big):
-    """
-    Integrate one frame: ours, Open3D's, OctoMap's.
-
-    Adding by two threads, each every second stripe of blocks, was tried and left: the links and
-    voxels that are missing have to be counted before, so that the blocks are read twice: 5.8 to
-    6.7 ms against 4.0 to 4.4 ms for adding in one go by one thread (24 frames, a busy machine
-    with 2 cores, so a gain on a quiet one is not ruled out; the maps were the same to the byte).
-
-    """
+    """Integrate one frame: ours, Open3D's, OctoMap's."""
     ours = median_ms(big.seconds[5:])
     rows = [row('integrate one frame (observe + add)', f'{ours:.1f} ms', '<= 6 ms', ours <= 6)]
     try:
         open3d = median_ms(rivals.open3d_seconds(big.last)[2:])
         octomap = median_ms(rivals.octomap_seconds(big.last[:4])[1:])
     except ImportError as error:
-        what = f'rivals: {error.name} is missing (pip install .[bench])'
-        return rows + [row(what, '-', '-', None)]
+        return rows + [row(f'rivals: {error} (make bench installs them; Open3D wants libusb-1.0-0 '
+                           'and libgl1 of the system)', '-', '-', None)]
     rows.append(row(f'... against Open3D VoxelBlockGrid.integrate ({open3d:.1f} ms)',
                     f'{ours / open3d:.2f} x', '<= 0.5 x', ours <= 0.5 * open3d))
     rows.append(row(f'... against OctoMap insertPointCloud, which casts free space too '

@@ -11,7 +11,9 @@ from core_worlds import (
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
-from persem_ros.core.memory import pools
+from persem_ros.core import jit
+from persem_ros.core.memory import append, pools
+from persem_ros.core.memory.evict import keep_near
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.errors import PersemError
 import pytest
@@ -161,6 +163,26 @@ def test_the_same_frames_give_the_same_bytes(frames):
     for voxel in one.voxels()['voxel']:
         assert [a.tobytes() for a in one.history(voxel)] == [
             a.tobytes() for a in two.history(voxel)]
+
+
+@given(worlds(most_frames=40), st.sampled_from([0, 3]), seeds)
+@examples(max_examples=30)
+def test_parts_side_by_side_leave_the_same_pools(frames, bound, seed):
+    before, grain, left = jit.threads(), append.GRAIN, []
+    try:
+        for threads, append.GRAIN in ((1, 1), (2, 1), (7, 1), (2, 5)):
+            jit.set_threads(threads)
+            memory, rng = VoxelMemory(0.5, max_history=bound), np.random.default_rng(seed)
+            for number, (stamp, seen, ids) in enumerate(frames):
+                memory.add(observations(stamp, seen, ids, unknown=[(0, 0, 0)]))
+                if number % 5 == 4:     # from then on some records are used again
+                    keep_near(memory, rng.uniform(-2.0, 2.0, 3), 2.0)
+            used = memory.m.used.tolist()
+            left.append((used, *(pool[:4096].tobytes() for pool in memory.m)))
+    finally:
+        jit.set_threads(before)
+        append.GRAIN = grain
+    assert left[1:] == left[:1] * 3
 
 
 @given(worlds())

@@ -8,15 +8,16 @@ from typing import Any, Optional
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.jit import kernel
-from persem_ros.core.memory.append import (
-    hang_link, take_link, take_voxel, write, write_offset)
 from persem_ros.core.memory.blocks import make_block, new_table
-from persem_ros.core.memory.evidence import add_here, count_classes, read_evidence, spill
+from persem_ros.core.memory.evidence import (
+    add_here, add_spilt, count_classes, read_evidence, spill)
 from persem_ros.core.memory.frame_table import FrameTable
 from persem_ros.core.memory.history import link_of
 from persem_ros.core.memory.pools import (
     BLOCKS, CHUNK, CLOCK, INLINE, LINKS, OBSERVATIONS, SIDE, SPILLS, STORED, VOXEL,
     VOXELS)
+from persem_ros.core.memory.records import (
+    hang_link, take_link, take_voxel, write_link, write_offset)
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 
 
@@ -309,7 +310,8 @@ def _write(pools, table, index, block_start, cell, observations, switches, label
             voxel.last, voxel.first_label = last[r], first_label[r]
             voxel.source, voxel.gone = source[r], gone[r]
             for e in range(evidence_start[r], evidence_start[r + 1]):
-                if not add_here(voxel, classes[e], sums[e]):
+                if not add_here(voxel, classes[e], sums[e]) and \
+                        not add_spilt(voxel, spills, classes[e], sums[e]):
                     spill(voxel, spills, used, classes[e], sums[e])
             n = np.int64(observations[r]) - (history_start[r + 1] - history_start[r])
             link, place = np.int64(0), n % CHUNK
@@ -318,7 +320,7 @@ def _write(pools, table, index, block_start, cell, observations, switches, label
                     place = place % CHUNK
                     before, link = max(link, 1), take_link(free, used) + 1
                     hang_link(voxel, links[link - 1], links[before - 1], link, n)
-                write(links[link - 1], place, labels[h], confidences[h], frames[h])
+                write_link(links[link - 1], place, labels[h], confidences[h], frames[h])
                 write_offset(offsets[link - 1], place, where[h, 0], where[h, 1], where[h, 2])
                 place += 1
                 n += 1

@@ -43,13 +43,22 @@ def add_here(record, c, s):
 
 
 @inlined
-def spill(voxel, spills, used, c, s):
-    """h_v(c) += s outside the voxel's own record, which has no place for c."""
-    number, before = np.int64(voxel.more), np.int64(0)
+def add_spilt(voxel, spills, c, s):
+    """h_v(c) += s outside the voxel's own record, which has no place for c; False: none has."""
+    number = np.int64(voxel.more)
     while number > 0:
         if add_here(spills[number - 1], c, s):
-            return
-        before, number = number, np.int64(spills[number - 1].next)
+            return True
+        number = np.int64(spills[number - 1].next)
+    return False
+
+
+@inlined
+def spill(voxel, spills, used, c, s):
+    """h_v(c) += s in a new spill record, where no other has a place for c."""
+    before = np.int64(voxel.more)
+    while before > 0 and spills[before - 1].next > 0:
+        before = np.int64(spills[before - 1].next)
     number = take_spill(spills, used) + 1
     add_here(spills[number - 1], c, s)
     if before > 0:

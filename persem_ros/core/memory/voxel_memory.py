@@ -7,13 +7,14 @@ from typing import Any, TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.jit import kernel, split
-from persem_ros.core.memory.append import add_observations, release_links
+from persem_ros.core.memory.append import add_observations
 from persem_ros.core.memory.blocks import find_voxels, list_voxels, new_table
 from persem_ros.core.memory.evidence import read_evidence
 from persem_ros.core.memory.frame_table import FrameTable, Session, session_uuid, Stamps
 from persem_ros.core.memory.growth import Growth
 from persem_ros.core.memory.pools import (
     BLOCKS, CENTRE, CHUNK, CLOCK, FREE_BLOCKS, FREE_VOXELS, OBSERVATIONS, Store, STORED, VOXELS)
+from persem_ros.core.memory.records import release_links
 from persem_ros.errors import PersemError
 
 if TYPE_CHECKING:
@@ -122,7 +123,7 @@ class VoxelMemory:
 
     def add(self, observations: Observations) -> NDArray[np.int64]:
         """
-        Append one frame's observations (core.frame.observe.Observations) to the voxels' histories.
+        Append a frame's observations (core.frame.observe.Observations), one of a voxel each.
 
         Returns
         -------
@@ -139,10 +140,9 @@ class VoxelMemory:
         if offsets is None:
             offsets = np.full((n, 3), CENTRE, np.uint8)
         f = self._enter(observations)
-        rows = np.empty(n, np.int64)
         free = self.m.used[FREE_BLOCKS]
-        add_observations(self.m, self.table, observations.voxels, observations.labels,
-                         observations.confidences, offsets, f, self.kept_history, rows)
+        rows = add_observations(self.m, self.table, observations.voxels, observations.labels,
+                                observations.confidences, offsets, f, self.kept_history)
         if self.m.used[FREE_BLOCKS] != free:
             self.growth = None
         self.seen_ids[observations.ids] = 1
