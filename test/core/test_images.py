@@ -7,9 +7,10 @@ from hypothesis import given, strategies as st
 import numpy as np
 from persem_ros.core import jit
 from persem_ros.core.frame.images import counting, measured, points
+from persem_ros.core.frame.median import median_depth, median_within
 from persem_ros.core.frame.observe import gather, observe
 from persem_ros.core.frame.place import measured_points, place
-from persem_ros.core.frame.stride import median_depth, stride_of, thinned
+from persem_ros.core.frame.stride import stride_of, thinned
 from persem_ros.errors import PersemError
 from persem_ros.frames import Frame, pinhole
 from persem_ros.settings.config import Memory
@@ -141,7 +142,41 @@ def test_the_median_depth_is_numpys(seed, n, scale, tied):
     depth[chosen] = rng.choice(NO_DEPTHS, chosen.sum())
     low, high = 0.5 * scale, 3.0 * scale
     inside = depth[(depth >= low) & (depth <= high)]
-    assert median_depth(depth, low, high) == (np.median(inside) if len(inside) else 0.0)
+    middle = np.median(inside) if len(inside) else 0.0
+    assert median_depth(depth, low, high) == middle
+    for least, most in np.sort(rng.uniform(low, high, (8, 2))):
+        if median_within(depth, low, high, least, most):
+            assert least <= middle <= most
+    if len(inside) > 0.6 * depth.size:
+        assert median_within(depth, low, high, low, high)
+
+
+@given(seeds, st.sampled_from([20.0, 100.0, 900.0]), st.floats(0.05, 2.0))
+@examples(max_examples=60)
+def test_the_stride_is_that_of_the_whole_images_median(seed, focal, size):
+    rng = np.random.default_rng(seed)
+    slope = np.linspace(1.0, rng.uniform(1.0, 9.0), 200)[:, None]   # 24 000: read in six goes
+    depth = rng.uniform(0.5, 20.0) * slope * rng.uniform(0.9, 1.1, (200, 120))
+    depth[rng.random(depth.shape) < rng.uniform(0.0, 0.7)] = rng.choice(NO_DEPTHS)
+    frame, settings = frame_of(np.zeros(depth.shape), depth, focal), replace(
+        Memory(), stride=0, voxel_size=size)
+    assert stride_of(frame, settings) == ref.auto_stride(
+        depth, focal, size, settings.min_depth, settings.max_depth)
+
+
+def test_a_depth_next_to_nothing_leaves_one_pixel():
+    frame = frame_of(np.zeros((4, 6)), np.full((4, 6), 1e-320))
+    settings = replace(Memory(), stride=0, min_depth=0.0)
+    assert thinned(frame, settings).depth.shape == (1, 1)
+
+
+def test_rays_of_a_camera_are_thinned_once():
+    settings = replace(Memory(), stride=2)
+    frame = frame_of(np.zeros((4, 6)), np.ones((4, 6)))
+    thin = thinned(frame, settings).camera
+    assert thinned(replace(frame, depth=2 * frame.depth), settings).camera is thin
+    assert thinned(frame, replace(settings, stride=3)).camera.rays.tolist() == \
+        frame.camera.rays[::3, ::3].tolist()
 
 
 @pytest.mark.parametrize('focal, depth, size, stride', [

@@ -25,6 +25,7 @@ from persem_ros.core.memory.evict import keep_near
 from persem_ros.core.frame.clear import clear
 from persem_ros.core.frame.images import points
 from persem_ros.core.memory.voxel_memory import VoxelMemory
+from persem_ros.core.frame.median import median_depth
 from persem_ros.core.frame.observe import observe
 from persem_ros.core.frame.place import measured_points, place
 from persem_ros.core.refine.job import abandon, finish
@@ -62,6 +63,7 @@ for shape in ((4, 6), (240, 320), (2, 2)):
         stamp += 1
         frame = Frame(stamp, labels, depth, pinhole(w, h, 50, 50, w / 2, h / 2))
         thinned(frame, Memory(stride=0))
+        median_depth(depth, 0.0, 1.0)
         clear(memory, frame, Memory(clear_after=1))
         placed, ids = points(frame, Memory())
         seen = observe(placed, ids, frame.T_map_camera.astype(np.float32), 0.3, stamp=stamp)

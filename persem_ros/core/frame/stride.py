@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 from persem_ros.core.frame.images import on_depth
-from persem_ros.core.jit import kernel, split
-from persem_ros.frames import Frame
+from persem_ros.core.frame.median import median_depth, median_within
+from persem_ros.frames import Camera, Frame
 from persem_ros.settings.config import Memory
 
 SPAN = 3        # pixels across a voxel at the median depth, which auto leaves
-LOW_BITS = 46   # of a float64 that are not looked at first: bins are 1.6 % wide
-BINS = 1 << 63 - LOW_BITS
+FEW = 32        # every so many-th pixel of every so many-th row is asked first
+HAIR = 1e-9     # by which an interval of depths is narrowed, for rounding
+MOST = 1 << 16  # larger strides leave one pixel, too
+_THINNED: WeakKeyDictionary[Camera, tuple[int, Camera]] = WeakKeyDictionary()
 
 
 def stride_of(frame: Frame, settings: Memory) -> int:
@@ -25,9 +27,19 @@ def stride_of(frame: Frame, settings: Memory) -> int:
     """
     if settings.stride or frame.points is not None:
         return max(settings.stride, 1)
-    middle = median_depth(frame.depth, settings.min_depth, settings.max_depth)
-    focal = float(frame.camera.K[0, 0])
-    return max(1, int(focal * settings.voxel_size / (SPAN * middle))) if middle else 1
+    low, high = settings.min_depth, settings.max_depth
+    across = float(frame.camera.K[0, 0]) * settings.voxel_size
+    few = frame.depth[::FEW, ::FEW]
+    few = few[(few >= low) & (few <= high) & (few > 0.0)]
+    if len(few) and across > 0.0:   # the stride is the same for all medians of an interval
+        n = _stride(across, float(np.median(few)))
+        least = across / (SPAN * (n + 1)) * (1 + HAIR)
+        most = across / (SPAN * n) * (1 - HAIR) if n > 1 else high
+        if _stride(across, least) == _stride(across, most) == n and median_within(
+                frame.depth, low, high, least, most):
+            return n
+    middle = median_depth(frame.depth, low, high)
+    return _stride(across, middle) if middle else 1
 
 
 def thinned(frame: Frame, settings: Memory) -> Frame:
@@ -40,46 +52,19 @@ def thinned(frame: Frame, settings: Memory) -> Frame:
         on_depth(frame, frame.weights, 0).reshape(shape)[every]
     return replace(
         frame, labels=on_depth(frame, frame.labels).reshape(shape)[every],
-        depth=frame.depth[every], camera=replace(frame.camera, rays=frame.camera.rays[every]),
-        matching=None, weights=weights,
-        points=frame.points if frame.points is None else frame.points[every])
+        depth=frame.depth[every], camera=_thinned_camera(frame.camera, n), matching=None,
+        weights=weights, points=frame.points if frame.points is None else frame.points[every])
 
 
-def median_depth(depth: NDArray[np.float64], low: float, high: float) -> float:
-    """
-    Return the median of the depths that are measurements within low .. high; 0.0: none is.
-
-    The same as NumPy's, which takes ten times as long: only the bin in the middle is sorted.
-
-    """
-    depth = np.require(depth, np.float64, ['C', 'W'])
-    until = np.cumsum(bin_counts(depth, float(low), float(high)))
-    n = int(until[-1])
-    if n == 0:
-        return 0.0
-    ranks = (n - 1) // 2, n // 2
-    bins = np.searchsorted(until, ranks, side='right')
-    edges = (np.array([bins[0], bins[1] + 1]) << LOW_BITS).view(np.float64)
-    near = depth[(depth >= edges[0]) & (depth < edges[1]) & (depth >= low) & (depth <= high)
-                 & (depth > 0.0)]
-    before = int(until[bins[0] - 1]) if bins[0] else 0
-    places = [rank - before for rank in ranks]
-    near = np.partition(near, places)
-    return float((near[places[0]] + near[places[1]]) / 2)
+def _stride(across: float, depth: float) -> int:
+    """Return the stride for a median depth; *across*: pixels of a voxel times its depth."""
+    return max(1, int(min(across / (SPAN * depth), MOST)))
 
 
-def bin_counts(depth: NDArray[np.float64], low: float, high: float) -> NDArray[np.int64]:
-    """Return how many depths within low .. high each bin of their highest bits has."""
-    counts = np.zeros((2, BINS), np.int32)
-    split(count_bins, 2, depth, depth.view(np.int64), low, high, counts, grain=1)
-    return counts.sum(axis=0, dtype=np.int64)
-
-
-@kernel
-def count_bins(begin, end, depth, bits, low, high, counts):
-    """Count the depths of the halves begin .. end of the rows by their highest bits."""
-    for half in range(begin, end):
-        for v in range(half * depth.shape[0] // 2, (half + 1) * depth.shape[0] // 2):
-            for u in range(depth.shape[1]):
-                if low <= depth[v, u] <= high and depth[v, u] > 0.0:
-                    counts[half, bits[v, u] >> LOW_BITS] += 1
+def _thinned_camera(camera: Camera, n: int) -> Camera:
+    """Return the camera of every n-th pixel, kept for the next frames: rays are large."""
+    kept = _THINNED.get(camera)
+    if kept is None or kept[0] != n:
+        rays = np.ascontiguousarray(camera.rays[::n, ::n])
+        kept = _THINNED[camera] = n, replace(camera, rays=rays)
+    return kept[1]
