@@ -23,7 +23,6 @@ def test_a_soak_in_small_loses_no_frame_and_keeps_to_its_bound(tmp_path):
     soak.SPEED, bound, told = 40.0, 300, []     # a place is left before the flight ends
     run = soak.Soak(tmp_path / 'map.persem', {'memory.max_voxels': bound,
                                               'memory.voxel_size': 4.0})
-    run.refiner._began = 0.0        # one is due, however soon the flight ends
     run.fly(60, soak.Flight((32, 24)), every=10, told=told.append)
     saved = store.load(tmp_path / 'map.persem').saved
     assert len(saved.frames) == run.rendered == 60 and told == run.samples
