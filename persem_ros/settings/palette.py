@@ -34,7 +34,7 @@ class Palette:
     def __init__(self, known: Mapping[int, tuple[int, int, int]],
                  unlabelled: Sequence[int] = (), title: str = '') -> None:
         self._title = title
-        self._warns = bool(known)       # of ids that are not known, once
+        self._warns = [True] if known else []   # of ids that are not known, once
         table = np.zeros((UNKNOWN + 1, 4), np.uint8)
         table[:, :3] = made_up()
         table[list(unlabelled)] = *GREY, 1
@@ -90,7 +90,10 @@ class Palette:
         """Log the ids that the legend does not know, once in its life."""
         strange = packed.view(np.uint8).reshape(*ids.shape, 4)[..., 3] == 0
         if strange.any():
-            self._warns = False
+            try:        # threads write images side by side; one of them says it
+                self._warns.pop()
+            except IndexError:
+                return
             LOG.warning('ids %s are not in the legend%s, their colours are made up',
                         ', '.join(map(str, np.unique(ids[strange]).tolist()[:20])),
                         f' {self._title!r}' if self._title else '')

@@ -34,6 +34,7 @@ def add_observations(
     Parameters
     ----------
     pools : Pools
+        The map's.
     table : ndarray
         The hash of the blocks.
     places : ndarray, shape (n, 3), int32
@@ -41,6 +42,7 @@ def add_observations(
     labels : ndarray, shape (n,), uint16
         UNKNOWN: no observation.
     confidences : ndarray, shape (n,), float32
+        Of each label, 0 .. 1.
     where : ndarray, shape (n, 3), uint8
         Mean places of the points in the voxels, 256ths of an edge.
     f : int
@@ -50,7 +52,8 @@ def add_observations(
 
     Returns
     -------
-    ndarray, shape (n,), int64
+    rows : ndarray, shape (n,), int64
+        Voxel numbers.
 
     """
     n = len(labels)
