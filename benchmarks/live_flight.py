@@ -108,7 +108,7 @@ class Flight:
             until() ends the flight early.
 
         """
-        sent, waiting, begin, frames, poses = {}, [], time.monotonic(), 0, -1
+        sent, waiting, begin, frames, poses, newest = {}, [], time.monotonic(), 0, -1, 0
         while time.monotonic() - begin < seconds and not (until and until()):
             frame_due, pose_due = begin + frames / rate, begin + poses / POSE_RATE
             due = min(frame_due, pose_due)
@@ -119,6 +119,7 @@ class Flight:
                 name, message = self._make.pose(stamp, 'map', pose_at(at, rate))
                 self._out['/pose'].publish(self._serialized(message, name))
                 waiting = [s for s in waiting if not self._done(s, stamp, sent)]
+                newest = stamp
                 poses += 1
             else:
                 stamp = first + round(frames / rate * 1e9)
@@ -127,7 +128,8 @@ class Flight:
                 self._out['/depth/image'].publish(stamped(depth, stamp))
                 self._out['/semantic/image'].publish(stamped(labels, stamp))
                 sent[stamp] = time.monotonic_ns()
-                waiting.append(stamp)
+                if newest < stamp:      # else the pose was there before the images
+                    waiting.append(stamp)
                 frames += 1
         return sent
 
