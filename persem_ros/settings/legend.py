@@ -112,23 +112,7 @@ class Legend:
         return red, green, blue
 
     def colors(self, ids: NDArray[Any]) -> NDArray[np.uint8]:
-        """
-        Return the colours of an array of ids.
-
-        An id that the legend does not know has a colour of its own, the same in every run, and
-        is warned about once. Negative ids and ids above 65535 are black.
-
-        Parameters
-        ----------
-        ids : ndarray of integers, any shape
-            Class ids.
-
-        Returns
-        -------
-        ndarray, shape (*ids.shape, 3), uint8
-            Red, green, blue.
-
-        """
+        """Return the colour of each id, shape (*ids.shape, 3), uint8; see Palette."""
         return self._palette.colors(ids)
 
     @cached_property
