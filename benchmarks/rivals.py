@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 from persem_ros.core.frame.images import backprojected
-from persem_ros.core.transforms import inverse
+from persem_ros.core.transforms import inverse, transformed
 from persem_ros.settings.config import Config
 
 VOXEL_SIZE, MAX_DEPTH = 0.5, 200.0
@@ -42,8 +42,7 @@ def octomap_seconds(frames):
     seconds = []
     for frame in frames:
         points = backprojected(frame, Config().memory)
-        points = points[np.isfinite(points[:, 2])] @ frame.T_map_camera[:3, :3].T \
-            + frame.T_map_camera[:3, 3]
+        points = transformed(points[np.isfinite(points[:, 2])], frame.T_map_camera)
         begin = time.perf_counter()
         tree.insertPointCloud(points, frame.T_map_camera[:3, 3], MAX_DEPTH)
         seconds.append(time.perf_counter() - begin)

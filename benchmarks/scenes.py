@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 from persem_ros.core.frame.images import backprojected
 from persem_ros.core.frame.observe import Observations
+from persem_ros.core.transforms import transformed
 from persem_ros.settings.config import Config
 from persem_ros.simulate.flight import Flight, Plan
 
@@ -42,7 +43,7 @@ def with_many(frame):
 def squares(frame, size):
     """Return the indices i, j, each (h, w) int64, of the squares of *size* m that pixels show."""
     points = backprojected(frame, Config().memory)
-    where = points @ frame.T_map_camera[:3, :3].T + frame.T_map_camera[:3, 3]
+    where = transformed(points, frame.T_map_camera)
     index = np.floor(np.nan_to_num(where[:, :2]) / size).astype(np.int64)
     return (column.reshape(frame.labels.shape) for column in index.T)
 

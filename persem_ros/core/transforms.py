@@ -57,6 +57,18 @@ def inverse(T: NDArray[np.float64]) -> NDArray[np.float64]:
     return result
 
 
+def transformed(points: NDArray[np.float64], T: NDArray[np.float64]) -> NDArray[np.float64]:
+    """
+    Return points (n, 3) moved by a rigid 4x4 transform.
+
+    Axis by axis, as fast as a product of matrices: behind that of an image's points, threads of
+    OpenBLAS keep a core busy for 0.1 s, and a frame added meanwhile took 7 ms instead of 4.
+
+    """
+    x, y, z = points.T
+    return np.stack([a * x + b * y + c * z + t for a, b, c, t in T[:3]], axis=-1)
+
+
 def slerp(
         q0: NDArray[np.float64], q1: NDArray[np.float64], fraction: float) -> NDArray[np.float64]:
     """Interpolate between unit quaternions along the shorter arc."""

@@ -21,6 +21,7 @@ from persem_ros.core.frame.render import (
     filled, hide_gone, render, render_map, voxel_image, voxel_image_of)
 from persem_ros.core.frame.smoothing import EmaImages
 from persem_ros.core.frame.stride import thinned
+from persem_ros.core.frame.tally import renumber
 from persem_ros.core.geometry.labelling import with_ring
 from persem_ros.core.jit import is_complete, keep_memory, mark_complete, threads
 from persem_ros.core.memory.capture import dump
@@ -154,7 +155,7 @@ def _in_parts(frame: Frame, size: float) -> None:
     where = np.empty(len(ids), np.int32)
     counted = (*measured_points(seen_points), *placing(frame.T_map_camera, size, (0.0, 0.0, 0.0)),
                size, ids, EVERY, np.empty(0, np.uint32), where)
-    Part(0, 9, *counted).add(Part(9, len(ids), *counted), where)
+    renumber(9, len(ids), Part(0, 9, *counted).add(Part(9, len(ids), *counted)), where)
 
 
 def _refined(memory: VoxelMemory) -> None:

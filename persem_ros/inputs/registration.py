@@ -5,6 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.jit import cached
+from persem_ros.core.transforms import transformed
 from persem_ros.frames import Matching
 from persem_ros.inputs.views import View
 
@@ -67,7 +68,7 @@ def depth_of_cloud(points: NDArray[np.float64], labels: View,
 def _projected(points: NDArray[np.float64], labels: View, T: NDArray[np.float64]) -> tuple[
         NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
     """Return depth and pixel (column, row) of points in the label camera; -1 outside of it."""
-    moved = points @ T[:3, :3].T + T[:3, 3]
+    moved = transformed(points, T)
     pixels = labels.project(moved)
     height, width = labels.camera.rays.shape[:2]
     with np.errstate(invalid='ignore'):

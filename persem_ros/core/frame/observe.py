@@ -120,15 +120,15 @@ def gather(
                                   counting, weights, where, grain=GRAIN), [])
     whole = parts[0] if parts else _part(0, 0, *measured, pose, base, float(voxel_size), labels,
                                          counting, weights, where)[0]
-    for part in parts[1:]:
-        whole.add(part, where)
-    n = whole.n
+    merged = [(part, whole.add(part)) for part in parts[1:]]
+    n, slices = whole.n, max(1, len(parts))
     voxels, best = np.empty((n, 3), np.int32), np.empty(n, np.uint16)
     confidence, means = np.empty(n, np.float32), np.empty((n, 3), np.uint8)
-    split(vote, n, whole.tallies, whole.extras, whole.numbers, base.astype(np.int64),
-          int(min_pixels), len(where) <= MOST_OFFSETS, voxels, best, confidence, means, grain=8192)
+    split(_finish, slices, slices, merged, where, n, whole.tallies, whole.extras, whole.numbers,
+          base.astype(np.int64), int(min_pixels), len(where) <= MOST_OFFSETS, voxels, best,
+          confidence, means, grain=1)
     return Observations(voxels, best, confidence, where,
-                        np.flatnonzero(whole.seen).astype(np.uint16), int(stamp),
+                        np.flatnonzero(whole.seen.view(bool)).astype(np.uint16), int(stamp),
                         np.array(T_map_sensor, np.float64), sensor, means, T_body_sensor)
 
 
@@ -147,15 +147,26 @@ class Part:
             begin, end, *placed, labels, counting, weights, where, self.tallies, self.extras,
             self.numbers)
 
-    def add(self, other: Part, where: NDArray[np.int32]) -> None:
-        """Add what was counted of later points."""
+    def add(self, other: Part) -> NDArray[np.int32]:
+        """Add what was counted of later points; return the row of each of their voxels."""
+        rows: NDArray[np.int32]
         self.n, self.n_extras, self.cubes, rows = merge(
             self.tallies, self.extras, self.numbers, self.n, self.n_extras, self.cubes,
             other.tallies[:other.n], other.extras, other.numbers)
         self.seen |= other.seen
-        split(renumber, other.end - other.begin, rows, where[other.begin:other.end], grain=GRAIN)
+        return rows
 
 
 def _part(begin: int, end: int, *arguments: Any) -> list[Part]:
     """Return what was counted of some points, for split()."""
     return [Part(begin, end, *arguments)]
+
+
+def _finish(begin: int, end: int, slices: int, merged: list[tuple[Part, NDArray[np.int32]]],
+            where: NDArray[np.int32], n: int, *arguments: Any) -> None:
+    """Say the rows as they are now of points that were merged, and vote: slices begin .. end."""
+    for part, rows in merged:
+        size = part.end - part.begin
+        renumber(part.begin + size * begin // slices, part.begin + size * end // slices, rows,
+                 where)
+    vote(n * begin // slices, n * end // slices, *arguments)

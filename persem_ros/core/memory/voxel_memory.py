@@ -142,11 +142,11 @@ class VoxelMemory:
         f = self._enter(observations)
         free = self.m.used[FREE_BLOCKS]
         rows = add_observations(self.m, self.table, observations.voxels, observations.labels,
-                                observations.confidences, offsets, f, self.kept_history)
+                                observations.confidences, offsets, f, self.kept_history,
+                                self.voted_ids)
         if self.m.used[FREE_BLOCKS] != free:
             self.growth = None
         self.seen_ids[observations.ids] = 1
-        self.voted_ids[observations.labels] = 1
         return rows
 
     @property
