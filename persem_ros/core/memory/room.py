@@ -8,7 +8,7 @@ from persem_ros.core.memory.records import mark, take_link, take_voxel
 from persem_ros.core.prefetch import prefetch
 from persem_ros.frames import UNKNOWN
 
-CELLS_AT = BLOCK.fields['cells'][1]     # where a block has its cells, bytes
+CELLS_AT = dict(BLOCK.fields or {})['cells'][1]     # where a block has its cells, bytes
 
 
 @inlined
