@@ -28,7 +28,7 @@ MAY_IMPORT = {
     'core': NOUNS,
     'core.geometry': NOUNS | {'core.jit', 'core.memory'},
     'core.frame': NOUNS | {'core.jit', 'core.memory', 'core.transforms'},
-    'core.memory': NOUNS | {'core.jit', 'core.trajectory', 'core.transforms'},
+    'core.memory': NOUNS | {'core.jit', 'core.prefetch', 'core.trajectory', 'core.transforms'},
     'pipeline': NOUNS | {'core'},
     'inputs': NOUNS | {'core.jit', 'core.trajectory', 'core.transforms'},
     'inputs.decode': NOUNS | {'core.jit', 'core.transforms'},
@@ -55,12 +55,12 @@ MAY_IMPORT = {
 }
 ROS = re.compile(r'(rclpy|rosidl_\w+|\w+_interfaces|\w+_msgs|\w+_srvs|tf2_\w+|cv_bridge|'
                  r'message_filters|launch\w*|ament_\w+)$')
-CORE_THIRD_PARTY = {'numpy', 'numba'}
+CORE_THIRD_PARTY = {'numpy', 'numba', 'llvmlite'}       # the last one is a part of numba
 # What the command line may load before it knows the sub-command: 'persem --help' comes at once.
 LIGHT = {'persem_ros.__version__', 'persem_ros.commands', 'persem_ros.ending',
          'persem_ros.errors', 'persem_ros.guard.words', 'persem_ros.settings.config'}
 DISTRIBUTIONS = {'cv2': 'opencv-python-headless', 'yaml': 'pyyaml', 'rerun': 'rerun-sdk',
-                 'skimage': 'scikit-image', 'sklearn': 'scikit-learn'}
+                 'skimage': 'scikit-image', 'sklearn': 'scikit-learn', 'llvmlite': 'numba'}
 
 
 def module_name(path):
