@@ -36,6 +36,7 @@ def main():
     parser.add_argument('--json', metavar='FILE', help='also write the numbers to FILE')
     args = parser.parse_args()
     warm_up()
+    replayed = [] if args.quick else replays()      # before this process holds large maps
     big, rows = BigMap(), []
     rows += integration(big)
     rows += refinement(big)
@@ -47,8 +48,7 @@ def main():
     rows += scaling(big)
     rows += away(big)
     rows += grids(big)
-    if not args.quick:
-        rows += replays()
+    rows += replayed
     report(big, rows)
     if args.json:
         Path(args.json).write_text(json.dumps(
@@ -224,13 +224,15 @@ def away(big):
     found = [flat.flight(CONFIG, size, big.last, time.perf_counter) for size in flat.SIZES]
     frames = [median_ms(one.seconds['frame']) for one in found]
     worst, p99 = ([measure(one) for one in found] for measure in (flat.Away.worst, flat.Away.p99))
-    ratio = max(frames) / min(frames)
+    ratio, disturbed = max(frames) / min(frames), sum(one.disturbed for one in found)
+    of = sum(len(some) for one in found for some in one.seconds.values()) + disturbed
     return [row('a frame beside all else in 10^5, 10^6, 10^7 voxels',
                 ', '.join(f'{m:.1f}' for m in frames) + f' ms: {ratio:.2f} x', '<= 1.5 x',
                 ratio <= 1.5),
             row('away from frames there: p99', ', '.join(f'{m:.1f}' for m in p99) + ' ms', '',
                 None),
-            row('away from frames there: at worst', ', '.join(f'{m:.1f}' for m in worst) + ' ms',
+            row(f'away from frames there: at worst ({disturbed} of {of} calls left out, which the '
+                'hypervisor interrupted)', ', '.join(f'{m:.1f}' for m in worst) + ' ms',
                 '<= 30 ms', max(worst) <= 30)]
 
 
@@ -259,7 +261,7 @@ def replays():
             if frames == 300:
                 fps = timing['frames_per_s']
                 rows.append(row('whole replay of 300 frames', f'{fps:.1f} frames/s',
-                                '>= 25 frames/s', fps >= 25))
+                                '>= 50 frames/s', fps >= 50))
             else:
                 peak = timing['memory']['peak_rss_bytes'] / 1e9
                 rows.append(row("peak RSS of the big map's replay", f'{peak:.2f} GB',
