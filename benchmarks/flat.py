@@ -58,7 +58,8 @@ class Away:
 
     def worst(self):
         """Return the longest of all but frames, ms."""
-        return 1e3 * max(max(s, default=0.0) for name, s in self.seconds.items() if name != 'frame')
+        return 1e3 * max(max(s, default=0.0)
+                         for name, s in self.seconds.items() if name != 'frame')
 
     def p99(self):
         """Return the 99th percentile of all but frames, ms."""
