@@ -7,7 +7,7 @@ import logging
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from persem_ros.core.refine.labelled import SWEPT
+from persem_ros.core.refine.labelled import LOCAL
 from persem_ros.errors import PersemError
 from persem_ros.outputs.map import store
 from persem_ros.settings.config import Config, IMAGE_METHODS, METHODS, nearest
@@ -41,8 +41,8 @@ def chosen_legend(config: Config, recording: Recording | Sessions) -> Legend:
     return legend.ignoring(config.memory.ignore_labels)
 
 
-def pages(config: Config, methods: Sequence[str], watchers: Sequence[Watcher], causal: bool,
-          ) -> bool:
+def pages(config: Config, methods: Sequence[str], watchers: Sequence[Watcher],
+          causal: bool) -> bool:
     """
     Return whether a replay does with a part of the map in memory; warn where one cannot.
 
@@ -53,7 +53,7 @@ def pages(config: Config, methods: Sequence[str], watchers: Sequence[Watcher], c
         return False
     others = {*methods} - {*IMAGE_METHODS, 'majority', config.refine.method}
     why = ''
-    if not others <= SWEPT:
+    if not others <= LOCAL:
         why = 'the method geometry beside another is measured on the whole map'
     elif causal and others:
         why = f'--causal measures {", ".join(sorted(others))} on the whole map'

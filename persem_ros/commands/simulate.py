@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from persem_ros.simulate.flight import Shot
     from persem_ros.simulate.plan import Plan
 
-# Option, field of simulate.flight.Plan or of one of its parts, type, unit, help.
+# Option, field of simulate.plan.Plan or of one of its parts, type, unit, help.
 NUMBERS = (
     ('--seed', 'seed', int, 'N', 'another world, path and noise; the same seed gives the same '
                                  'bytes'),

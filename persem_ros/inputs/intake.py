@@ -141,7 +141,8 @@ class Intake:
         Parameters
         ----------
         role : str
-            'labels', 'depth', 'truth', 'color', 'camera_info', 'pose', 'tf' or 'tf_static'.
+            A kind of images (one of ORDER), 'camera_info', 'labels_info', 'pose', 'tf',
+            'tf_static' or 'legend'.
         taker : Station, PoseBuffer or None
             Whose message it is: poses and transforms go to a buffer, names of classes to none.
         kind : str

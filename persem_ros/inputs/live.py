@@ -83,7 +83,7 @@ class LiveIntake(Intake):
         self._clock, self._steady = clock, steady
         self._backlog = Backlog()
         self._said = ''     # how names and the given legend differ
-        self.behind = False     # whether a frame was dropped because it had waited for long
+        self.behind = False
         # When two frames were asked for first.
         self._untied: dict[tuple[str, str], int] = {}
         self._began = 0         # when frames began to be taken, by steady()

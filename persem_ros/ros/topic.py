@@ -24,8 +24,8 @@ class Input:
     Parameters
     ----------
     role : str
-        'labels', 'depth', 'color', 'camera_info', 'labels_info', 'legend', 'pose', 'tf',
-        'tf_static' or 'trajectory'.
+        A kind of images (inputs.intake.ORDER), 'camera_info', 'labels_info', 'legend', 'pose',
+        'tf', 'tf_static' or 'trajectory'.
     name : str
         The topic as the settings name it, relative.
     topic : str

@@ -1,7 +1,8 @@
 """
 Settings and legends: every setting once, its YAML in ROS form, what class ids mean.
 
-In: YAML files, words of the command line, ROS parameters. Out: a Config, a Legend.
-Everybody may enter; nothing in here knows arrays, messages or recordings.
+In: YAML files, words of the command line, ROS parameters. Out: a Config, a Legend, colours.
+Everybody may enter; nothing in here knows messages or recordings, nor, but for the colours of a
+legend, arrays.
 
 """

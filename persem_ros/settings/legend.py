@@ -13,7 +13,7 @@ from persem_ros.errors import PersemError
 from persem_ros.frames import UNKNOWN
 from persem_ros.guard import yaml_text
 from persem_ros.guard.words import short
-from persem_ros.settings.legend_class import class_of, LegendClass, scalar
+from persem_ros.settings.legend_class import class_of, LegendClass, quoted
 from persem_ros.settings.palette import Palette
 
 
@@ -67,7 +67,7 @@ class Legend:
 
     def to_yaml(self) -> str:
         """Return the legend as YAML text, one line a class; from_yaml reads it back."""
-        lines = [f'title: {scalar(self.title)}', 'classes:']
+        lines = [f'title: {quoted(self.title)}', 'classes:']
         lines += [f'- {item.to_yaml()}' for item in self.classes]
         return '\n'.join(lines) + '\n' if self.classes else ''
 

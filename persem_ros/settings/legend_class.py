@@ -64,8 +64,8 @@ class LegendClass:
                          if getattr(self, key) is not None)
         if self.height is not None:
             flags += f', height: [{", ".join(map(_edge, self.height))}]'
-        return (f'{{id: {self.id}, name: {scalar(self.name)}, '
-                f'color: {list(self.color)}, group: {scalar(self.group)}{flags}}}')
+        return (f'{{id: {self.id}, name: {quoted(self.name)}, '
+                f'color: {list(self.color)}, group: {quoted(self.group)}{flags}}}')
 
 
 def class_of(row: object, where: str) -> LegendClass:
@@ -154,7 +154,7 @@ def _edge(value: float) -> str:
     return repr(value) if math.isfinite(value) else f'{"-" * (value < 0)}.inf'
 
 
-def scalar(text: str) -> str:
+def quoted(text: str) -> str:
     """Return *text* as a YAML scalar that fits into one line."""
     if text.isascii() and text.isprintable():       # a hundred times as fast
         return '"' + text.replace('\\', '\\\\').replace('"', '\\"') + '"'

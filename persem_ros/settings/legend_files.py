@@ -32,7 +32,8 @@ def load_legend(name: Path | str) -> Legend:
     try:
         text = path.read_text(encoding='utf-8')
     except (OSError, UnicodeDecodeError) as error:
-        raise PersemError(f'{path}: cannot be read as text: {_one_line(error)}') from None
+        raise PersemError(f'{path}: cannot be read as text: '
+                          f'{" ".join(str(error).split())}') from None
     return Legend.from_yaml(text, str(path))
 
 
@@ -56,7 +57,3 @@ def _folders() -> Iterator[Path]:
     for prefix in prefixes:
         if prefix:
             yield Path(prefix) / 'share' / 'persem_ros' / 'config' / 'labels'
-
-
-def _one_line(error: Exception) -> str:
-    return ' '.join(str(error).split())

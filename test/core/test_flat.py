@@ -11,7 +11,7 @@ from persem_ros.core.memory.evict import drop
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine import sweep
 from persem_ros.core.refine.job import abandon, finish
-from persem_ros.core.refine.labelled import SWEPT
+from persem_ros.core.refine.labelled import LOCAL
 from persem_ros.core.refine.rules import at_rest, swept
 from persem_ros.core.refine.turns import begin_next
 from persem_ros.core.refine.whole import refine
@@ -32,7 +32,7 @@ def at_once(request, monkeypatch):
 
 
 @pytest.mark.usefixtures('at_once')
-@given(worlds(most_frames=20), refinements(), st.sampled_from(sorted(SWEPT)), st.integers(1, 9),
+@given(worlds(most_frames=20), refinements(), st.sampled_from(sorted(LOCAL)), st.integers(1, 9),
        st.integers(1, 6))
 @examples(max_examples=15)
 def test_a_sweep_that_has_ended_equals_a_full_run(frames, settings, method, slice_, every):

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.geometry.candidates import LIKELY
 from persem_ros.core.geometry.entries import (
-    Entries, entries_of, FREE, listed as as_listed, merged, value_of)
+    Entries, entries_of, FREE, listed, merged, value_of)
 from persem_ros.core.geometry.groups import Cells, counts, KINDS
 from persem_ros.core.geometry.hints import hints
 from persem_ros.core.geometry.parameters import common_arrays, OWN, TERM
@@ -99,7 +99,7 @@ class SparseParameters:
         found = common_arrays(self)
         for name, entries in (('confusion', self.confusion), ('coarse', self.groups[0]),
                               ('shifted', self.groups[1])):
-            found[f'{name}_keys'], found[f'{name}_values'] = as_listed(entries)
+            found[f'{name}_keys'], found[f'{name}_values'] = listed(entries)
         return {**found, 'rows': self.rows, 'f': self.f, 'a': np.array([self.a]),
                 'fine': self.fine, 'coarse_totals': self.totals[0],
                 'shifted_totals': self.totals[1]}

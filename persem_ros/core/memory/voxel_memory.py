@@ -32,7 +32,7 @@ class VoxelMemory:
     Voxels in blocks of 8 x 8 x 8, each with its observation history and class evidence.
 
     One thread adds, reads and begins refinements; a refinement computes beside it on the
-    snapshot that it was handed (core.snapshot).
+    snapshot that it was handed (core.refine.snapshot).
 
     Parameters
     ----------

@@ -48,7 +48,7 @@ class Fitting:
     def parameters(self) -> Steps:
         """Yield 0 after each step; return the parameters, None for an empty map."""
         room = KEPT
-        for numbers in self._steps():
+        for numbers in self._memory.pager.visit(self._index, *self._how):
             looks = self._look(numbers)
             if looks is not None:
                 self._gathered.add(looks)
@@ -71,9 +71,6 @@ class Fitting:
             for numbers in self._memory.pager.visit(part, *self._how):
                 looks = self._look(numbers)
                 yield None if looks is None else self._gathered.model(looks)
-
-    def _steps(self) -> Any:
-        return self._memory.pager.visit(self._index, *self._how)
 
     def _look(self, numbers: NDArray[np.int64]) -> Optional[Looks]:
         """Return the Looks of blocks, None where nothing is there."""

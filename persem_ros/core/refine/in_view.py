@@ -30,7 +30,7 @@ class InView:
     memory : core.memory.voxel_memory.VoxelMemory
         With a pager, after core.refine.whole.refine_all().
     methods : sequence of str
-        Of core.refine.labelled.SWEPT.
+        Of core.refine.labelled.LOCAL.
     settings : persem_ros.settings.config.Refine
 
     Attributes

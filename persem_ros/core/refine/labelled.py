@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from persem_ros.settings.config import Refine
 
 # Methods that look no farther than a voxel's neighbours: a part of the map at a time will do.
-SWEPT = {'majority', *fusion.MODES, *selection.METHODS}
+LOCAL = {'majority', *fusion.MODES, *selection.METHODS}
 
 
 def label(

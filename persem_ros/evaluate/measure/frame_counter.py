@@ -34,7 +34,7 @@ class Counter:
 
     Parameters
     ----------
-    kinds : kinds.Kinds
+    kinds : evaluate.measure.voxel_kinds.Kinds
     classes : Classes
         With which the kinds were made.
     methods : sequence of str

@@ -31,7 +31,7 @@ class Panels:
     ----------
     sequence : sequence.Sequence
         Labelled.
-    kinds : kinds.Kinds
+    kinds : evaluate.measure.voxel_kinds.Kinds
 
     """
 

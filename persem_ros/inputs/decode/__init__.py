@@ -1,7 +1,7 @@
 """
-Messages to arrays: images, compressed images, cameras.
+Messages to arrays: images, clouds, cameras, poses, tables of class names.
 
 In: messages of rclpy or rosbags, alike. Out: numpy arrays, or a BadMessage.
-Enters nothing beside it; all other rooms of inputs enter here.
+Enters nothing beside it; the other rooms of inputs, preflight and the node enter here.
 
 """

@@ -36,7 +36,7 @@ class Match:
     T_map_camera : ndarray, shape (4, 4), float64
         The pose, None where no poses are asked for.
     T_body_camera : ndarray, shape (4, 4), float64, or None
-        The camera's mount, where it is known (inputs.sync.poses.Lookup).
+        The camera's mount, where it is known (inputs.sync.track.Lookup).
     T_labels_depth : ndarray, shape (4, 4), float64, or None
         Maps points of the depth camera, or of the LiDAR, at their stamp to the labels' at theirs;
         None where both are the same.

@@ -45,7 +45,7 @@ class Synchronizer:
     sync : persem_ros.settings.config.Sync
         Tolerance and longest wait.
     lookup : callable, optional
-        lookup(match) gives a persem_ros.inputs.sync.poses.Lookup; None: no poses are asked for.
+        lookup(match) gives a persem_ros.inputs.sync.track.Lookup; None: no poses are asked for.
     companions : tuple of str
         Kinds of images that join a match where there are any: `TRUTH`, `COLOR`.
     patient : bool

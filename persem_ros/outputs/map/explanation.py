@@ -1,4 +1,4 @@
-"""The trace of a voxel (core.explain) as text for people."""
+"""The trace of a voxel (core.refine.explain) as text for people."""
 
 from __future__ import annotations
 

@@ -2,6 +2,6 @@
 Recordings as we write them: rosbag2 without ROS.
 
 In: arrays, stamps, frames. Out: a folder with mcap or sqlite3.
-Entered by replay, convert, simulate and the node.
+Entered by replay, convert, simulate, commands and the node.
 
 """
