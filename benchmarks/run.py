@@ -19,7 +19,7 @@ from persem_ros.core.memory.voxel_memory import stored_observations
 from persem_ros.core.refine.whole import refine
 from persem_ros.core.warmup import warm_up
 from persem_ros.outputs.recording.writer import RecordingWriter
-from persem_ros.outputs.results.rundir import hardware, versions
+from persem_ros.outputs.results.timing import hardware, versions
 from persem_ros.pipeline import Pipeline
 from persem_ros.settings.config import Config
 from persem_ros.simulate.flight import Flight

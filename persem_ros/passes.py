@@ -19,7 +19,7 @@ from persem_ros.inputs.recording.sessions import Sessions
 from persem_ros.outputs.files import write_json, write_text
 from persem_ros.outputs.progress import progress
 from persem_ros.outputs.recording.refined import RefinedWriter
-from persem_ros.outputs.results import rundir
+from persem_ros.outputs.results import timing
 from persem_ros.outputs.results.mapped import Mapped
 from persem_ros.outputs.results.metrics import Metrics
 from persem_ros.pipeline import Pipeline
@@ -72,7 +72,7 @@ class Replay:
         self.recording, self.folder, self.config = recording, folder, config
         self.out = folder       # where the folder's files end up
         self.methods, self.watchers = tuple(methods), tuple(watchers)
-        self.watch = rundir.Stopwatch()
+        self.watch = timing.Stopwatch()
         self.legend = chosen_legend(config, recording)
         self.advice = Advice(config, self.legend)
         self.mapped = mapped or Mapped(None, config, self.legend)
@@ -251,7 +251,7 @@ class Replay:
                   **self.metrics.result()}
         write_json(self.folder / 'metrics.json', result)
         self.overruled = self.mapped.overruled()
-        self.timing = rundir.timing(self.watch, self.frames, memory.nbytes())
+        self.timing = timing.content(self.watch, self.frames, memory.nbytes())
         write_json(self.folder / 'timing.json', self.timing)
         for watcher in self.watchers:
             watcher.finish(self, result)

@@ -21,7 +21,7 @@ from persem_ros import cli, rendering, replay
 from persem_ros.outputs import files
 from persem_ros.outputs.map import store
 from persem_ros.outputs.recording import refined, writer
-from persem_ros.outputs.results import rundir
+from persem_ros.outputs.results import timing
 import quick_yaml
 
 os.fsync = lambda handle: None      # as in conftest.py
@@ -93,7 +93,7 @@ def at(phase, act):
             'rendering': (rendering.Renderer, 'render', 6),
             'recording': (refined.RefinedWriter, 'frame', 6),       # in another thread
             'closing': (writer.RecordingWriter, '_move', 1),
-            'finishing': (rundir, 'timing', 1),
+            'finishing': (timing, 'content', 1),
             'handing over': (store.shutil, 'copyfile', 2)}[phase]     # of an attached map
         count = []
         before(owner, name, act, lambda *_: count.append(1) or len(count) == calls)

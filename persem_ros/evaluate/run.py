@@ -20,7 +20,7 @@ from persem_ros.evaluate.work.task import ALL_METHODS, Task
 from persem_ros.inputs.recording import finding
 from persem_ros.inputs.recording.excerpt import Excerpt, WHOLE
 from persem_ros.outputs.files import write_json, write_text
-from persem_ros.outputs.results import rundir
+from persem_ros.outputs.results import rundir, timing
 from persem_ros.preflight.look import opened
 from persem_ros.settings import config_file
 from persem_ros.settings.config import nearest
@@ -90,8 +90,8 @@ def evaluate(recordings: list[Path | str], out: Path | str, config: Config,
                    workers, scheduler, list(frames.values()))
     results = {path.name: result for path, result in done.items()}
     warn(results)
-    evaluation = {**combine.combined(results), 'versions': rundir.versions(),
-                  'hardware': rundir.hardware(),
+    evaluation = {**combine.combined(results), 'versions': timing.versions(),
+                  'hardware': timing.hardware(),
                   'settings': request_of(next(iter(tasks.values())))['settings']}
     write_text(folder / 'config.yaml', config_file.to_yaml(config))
     write(folder, evaluation)

@@ -19,7 +19,7 @@ from persem_ros.evaluate.work.stream import Disturbance
 from persem_ros.evaluate.work.task import Task
 from persem_ros.inputs.recording.excerpt import Excerpt, WHOLE
 from persem_ros.outputs.files import write_json, write_text
-from persem_ros.outputs.results import rundir
+from persem_ros.outputs.results import timing
 from persem_ros.settings import config_file
 from persem_ros.settings.config import nearest, settings, updated
 from persem_ros.settings.parameter_file import parse
@@ -144,7 +144,7 @@ def sweep(recordings: list[Path | str], out: Path | str, config: Config,
         'points': [_point(values, {name: found[folders[k, name]][0] for name in paths})
                    for k, values in enumerate(points)],
         'settings': manifest.identity(next(iter(base.values())))['settings'],
-        'versions': rundir.versions(), 'hardware': rundir.hardware()}
+        'versions': timing.versions(), 'hardware': timing.hardware()}
     write_json(folder / 'sweep.json', result)
     item = points_table(result)
     for suffix, form in table.FORMATS.items():

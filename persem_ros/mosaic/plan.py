@@ -16,7 +16,7 @@ from persem_ros.errors import PersemError
 from persem_ros.evaluate.work.manifest import source_hash
 from persem_ros.inputs.recording.finding import split
 from persem_ros.inputs.recording.recording import Recording
-from persem_ros.outputs.results import rundir
+from persem_ros.outputs.results import timing
 from persem_ros.preflight.files import as_one
 from persem_ros.preflight.look import opened
 from persem_ros.settings import config_file
@@ -92,7 +92,7 @@ class Plan:
                              for item in self.inputs],
                 'legend': self.legend.to_yaml(), 'tile, blocks': self.side,
                 'source': source_hash(), 'versions': {
-                    name: version for name, version in rundir.versions().items()
+                    name: version for name, version in timing.versions().items()
                     if name not in ('commit', 'persem_ros')}}
 
 

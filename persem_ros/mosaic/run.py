@@ -26,7 +26,7 @@ from persem_ros.mosaic.plan import Plan, planned, Tile
 from persem_ros.mosaic.refine import refine, Refining
 from persem_ros.mosaic.surroundings import Surrounded
 from persem_ros.outputs.files import write_json, write_text
-from persem_ros.outputs.results import rundir
+from persem_ros.outputs.results.timing import hardware, Stopwatch
 from persem_ros.settings import config_file
 from persem_ros.settings.config import Config
 
@@ -69,7 +69,7 @@ def build(paths: Sequence[str | Path], out: Path | str, config: Config, tile: fl
     if scheduler:
         with connected(scheduler):
             pass                # before the work
-    watch, began = rundir.Stopwatch(), time.perf_counter()
+    watch, began = Stopwatch(), time.perf_counter()
     with watch('look'):
         plan = planned(paths, config, tile)
         identity = plan.identity()
@@ -85,14 +85,14 @@ def build(paths: Sequence[str | Path], out: Path | str, config: Config, tile: fl
         result = _build(folder, plan, watch)
         result = {**result, 'of': identity, 'total_s': round(time.perf_counter() - began, 3),
                   'stages': {name: round(s, 3) for name, s in watch.seconds.items()},
-                  'hardware': rundir.hardware()}
+                  'hardware': hardware()}
         write_text(folder.out / folders.SETTINGS, config_file.to_yaml(plan.config))
         write_json(folder.out / folders.RESULT, result)
         shutil.rmtree(folder.work, ignore_errors=True)
     return result
 
 
-def _build(folder: folders.Folder, plan: Plan, watch: rundir.Stopwatch) -> dict[str, Any]:
+def _build(folder: folders.Folder, plan: Plan, watch: Stopwatch) -> dict[str, Any]:
     """Do what is left to do; return what the map came to."""
     with watch('observe'):
         paths = [str(folder.path('recordings', f'{item.number:06}.persem'))

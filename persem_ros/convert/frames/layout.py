@@ -1,19 +1,19 @@
-"""Which files of a folder make a frame: patterns, usual layouts, stamps, partners."""
+"""Which files of a folder make a frame: patterns, usual layouts, stamps."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 import logging
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from persem_ros.convert.files import canonical, files_of, some
+from persem_ros.convert.files import files_of, some
+from persem_ros.convert.frames.partners import namesakes, partners_of
 from persem_ros.convert.intrinsics import is_numbers
 from persem_ros.convert.poses import poses_from_files
 from persem_ros.convert.scene import chosen, report_dropped
 from persem_ros.convert.stamps import (
-    number_of_name, stamp_of_name, stamps_from_file, stamps_from_names, stamps_from_rate)
+    stamp_of_name, stamps_from_file, stamps_from_names, stamps_from_rate)
 from persem_ros.convert.trajectories import poses_from_trajectory
 from persem_ros.convert.uavscenes.layout import is_uavscenes
 from persem_ros.errors import PersemError
@@ -146,7 +146,7 @@ def find_frames(folder: Path, options: FramesOptions) -> tuple[list[Item], Poses
     times, named = _stamps(keys, options)
     own_clock = named or options.stamps not in ('auto', 'names', 'rate')
     poses = _find_poses(folder, options, keys, own_clock)
-    partners = {what: _partners(times, named, list(files[what]), options.tolerance)
+    partners = {what: partners_of(times, named, list(files[what]), options.tolerance)
                 for what in ('depth', 'color', 'truth') if files[what]}
     items = _complete(times, files, partners, poses)
     if not items:
@@ -208,7 +208,7 @@ def _find_poses(
             return poses_from_trajectory(path, keys, stamped)
         found = files_of(folder, candidate) if '*' in candidate or path.is_dir() else {}
         if found:
-            names = _namesakes(keys, list(found))
+            names = namesakes(keys, list(found))
             return poses_from_files({key: found[other] for key, other in names.items()})
     raise PersemError(f'{folder}: no poses like {options.pose or " or ".join(LAYOUTS["pose"])}; '
                       'name them with --pose FILE or PATTERN')
@@ -229,62 +229,6 @@ def _stamps(keys: list[str], options: FramesOptions) -> tuple[dict[str, int], bo
         raise PersemError(f'--rate {options.rate:g} --start {options.start:g}: expected a rate '
                           'above 0 Hz and a start of 0 s or later')
     return stamps_from_rate(keys, options.rate, options.start), False
-
-
-def _partners(
-        times: dict[str, int], named: bool, others: list[str], tolerance: float
-) -> dict[str, tuple[str, int]]:
-    """
-    Return {key: (other key, its stamp)} of the files that belong to the frames.
-
-    Where names are stamps, the nearest one within *tolerance* seconds, each used once;
-    otherwise the same name, or else the same number in the name.
-
-    """
-    other_times = stamps_from_names(others) if named else None
-    if other_times is not None:
-        return _nearest(times, other_times, round(tolerance * 1e9))
-    return {key: (other, times[key]) for key, other in _namesakes(list(times), others).items()}
-
-
-def _namesakes(keys: list[str], others: list[str]) -> dict[str, str]:
-    """Return {key: other} of the same names, or else of the same numbers in them."""
-    names = {canonical(other): other for other in others}
-    result = {key: names[canonical(key)] for key in keys if canonical(key) in names}
-    if result:
-        return result
-    numbers = {number_of_name(other): other for other in others}
-    result = {key: numbers[number_of_name(key)] for key in keys
-              if number_of_name(key) is not None and number_of_name(key) in numbers}
-    # A few numbers in common are chance: two folders that count differently.
-    return result if 2 * len(result) >= min(len(keys), len(others)) else {}
-
-
-def _nearest(
-        times: dict[str, int], other_times: dict[str, int], tolerance: int
-) -> dict[str, tuple[str, int]]:
-    """Return {key: (other key, its stamp)}, the closest pairs first, each used once."""
-    result, taken = {}, set()
-    for _, key, other in sorted(_near(times, other_times, tolerance)):
-        if key not in result and other not in taken:
-            result[key] = other, other_times[other]
-            taken.add(other)
-    return result
-
-
-def _near(
-        times: dict[str, int], other_times: dict[str, int], tolerance: int
-) -> Iterator[tuple[int, str, str]]:
-    """Yield (difference, key, other) of all pairs within *tolerance* nanoseconds."""
-    keys, others = (sorted(these, key=these.__getitem__) for these in (times, other_times))
-    first = 0
-    for key in keys:
-        while first < len(others) and other_times[others[first]] < times[key] - tolerance:
-            first += 1
-        for other in others[first:]:
-            if other_times[other] > times[key] + tolerance:
-                break
-            yield abs(other_times[other] - times[key]), key, other
 
 
 def layout_unit(folder: Path, options: FramesOptions) -> float | None:

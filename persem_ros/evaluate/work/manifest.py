@@ -17,7 +17,7 @@ from persem_ros.evaluate.measure.result import Result
 from persem_ros.inputs.recording.excerpt import WHOLE
 from persem_ros.inputs.recording.finding import split
 from persem_ros.outputs.files import replacing, write_json
-from persem_ros.outputs.results import rundir
+from persem_ros.outputs.results import timing
 from persem_ros.settings.config import settings
 from persem_ros.settings.legend_files import load_legend
 
@@ -47,7 +47,7 @@ def identity(task: Task) -> dict[str, Any]:
             'grouped': task.grouped, 'dynamic': task.dynamic,
             'disturbance': asdict(task.disturbance), 'pictures': task.pictures,
             'source': source_hash(), 'versions': {
-                name: version for name, version in rundir.versions().items()
+                name: version for name, version in timing.versions().items()
                 if name not in ('commit', 'persem_ros')}}
 
 
@@ -95,7 +95,7 @@ def save(folder: Path, found: dict[str, Any], summary: dict[str, Any],
         with open(work, 'wb') as out:
             np.savez_compressed(out, **named)
     write_json(folder / SUMMARY, summary)
-    write_json(folder / MANIFEST, {'commit': rundir.commit(), **found})
+    write_json(folder / MANIFEST, {'commit': timing.commit(), **found})
 
 
 def load(folder: Path, found: dict[str, Any] | None = None) -> Result | None:

@@ -25,8 +25,8 @@ from persem_ros.evaluate.measure.taxonomy import taxonomy
 from persem_ros.evaluate.measure.voxel_kinds import kinds_of
 from persem_ros.evaluate.work.pictures import Panels, top_view
 from persem_ros.evaluate.work.stream import Stream
-from persem_ros.outputs.results import rundir
 from persem_ros.outputs.results.peak import PeakMemory
+from persem_ros.outputs.results.timing import Stopwatch
 from persem_ros.pipeline import Pipeline
 from persem_ros.preflight.look import opened
 from persem_ros.preflight.voxel_fit import VoxelFit
@@ -80,7 +80,7 @@ class Sequence:
     ) -> None:
         self.task, self.recording, self._tick = task, recording, tick
         self.stream = Stream(recording, task.predictions, task.disturbance)
-        self.watch = rundir.Stopwatch()
+        self.watch = Stopwatch()
         self.pipeline = Pipeline(recording.config)
         self.images = [m for m in task.methods if m in IMAGE_METHODS]
         self.methods = (*self.images, *(m for m in task.methods if m in METHODS))

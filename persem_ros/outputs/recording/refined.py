@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     from persem_ros.frames import Frame
-    from persem_ros.outputs.results.rundir import Stopwatch
+    from persem_ros.outputs.results.timing import Stopwatch
     from persem_ros.settings.config import Config
     from persem_ros.settings.legend import Legend
 
@@ -33,7 +33,7 @@ class RefinedWriter:
         The recording's folder.
     legend : persem_ros.settings.legend.Legend
     config : persem_ros.settings.config.Config
-    watch : outputs.results.rundir.Stopwatch
+    watch : outputs.results.timing.Stopwatch
     storage : str
         As of the RecordingWriter.
 
