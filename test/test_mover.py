@@ -12,9 +12,11 @@ from persem_ros.core.refine.whole import refine
 from persem_ros.core.transforms import transform
 from persem_ros.errors import PersemError
 from persem_ros.inputs.decode.serialized import Decoder
+from persem_ros.inputs.sync.jump import jumped
 from persem_ros.inputs.sync.poses import PoseBuffer
 from persem_ros.inputs.trajectory import from_path, PATH
 from persem_ros.outputs.recording.messages import MessageFactory
+from persem_ros.ros.jumps import Jumps
 from persem_ros.ros.mover import check_moves, Mover
 from persem_ros.settings.config import Config, updated
 import pytest
@@ -164,18 +166,24 @@ def test_damaged_bytes_and_another_session(mover, caplog):
     assert 'the session it is of has ended' in caplog.text
 
 
-def test_a_localisation_that_corrects_itself():
-    buffer = PoseBuffer(Config())
+def test_a_localisation_that_corrects_itself(caplog):
+    buffer, jumps = PoseBuffer(Config()), Jumps(Config())
     for k, (y, x) in enumerate(((0.0, 0.0), (0.01, 5.0), (0.02, 10.0))):
         buffer.add_tf(k * SECOND, transform((0, y, 0), (0, 0, 0, 1.0)), 'map', 'odom')
         buffer.add_tf(k * SECOND, transform((x, 0, 0), (0, 0, 0, 1.0)), 'odom', 'base_link')
-        assert buffer.jumped(0.5) == ''     # odometry moves, and is no correction
+        assert jumped(buffer, 0.5) == ''     # odometry moves, and is no correction
     buffer.add_tf(3 * SECOND, transform((0, 1.5, 0), (0, 0, 0, 1.0)), 'map', 'odom')
-    assert buffer.jumped(0.5).startswith('map -> odom on /tf jumped by 1.48 m')
+    assert jumped(buffer, 0.5).startswith('map -> odom on /tf jumped by 1.48 m')
+    for _ in range(2):
+        jumps.look([buffer], Config())
+    assert caplog.text.count('topics.trajectory takes the corrected path') == 1
+    caplog.clear()
+    Jumps(CONFIG).look([buffer], CONFIG)    # the map moves with it
+    assert not caplog.text
     one = PoseBuffer(Config())              # a localisation that places the body itself
     for k in range(2):
         one.add_tf(k * SECOND, transform((9.0 * k, 0, 0), (0, 0, 0, 1.0)), 'map', 'base_link')
-    assert one.jumped(0.5) == ''
+    assert jumped(one, 0.5) == ''
 
 
 def test_the_log_says_how_far(mover, caplog):

@@ -9,6 +9,7 @@ from persem_ros.core.agreement import misses, WORST
 from persem_ros.core.transforms import inverse
 from persem_ros.inputs.decode import pose_messages
 from persem_ros.inputs.decode.messages import BadMessage
+from persem_ros.inputs.sync.mount import bodies, unsaid
 from persem_ros.inputs.sync.no_pose import mount_sentence
 from persem_ros.inputs.sync.poses import NO_MOUNT
 from persem_ros.inputs.sync.track import SLACK, Track
@@ -62,7 +63,7 @@ def _unreadable(view: View) -> Iterator[Finding]:
 def _mount(view: View, sample: Sample) -> Iterator[Finding]:
     """Yield what the poses place, and what is missing on the way to the camera."""
     poses, frame = view.poses, view.image_frame
-    if poses.unsaid(frame):
+    if unsaid(poses, frame):
         yield _reading(view, sample)
         return
     track = poses.poses
@@ -83,7 +84,7 @@ def _mount(view: View, sample: Sample) -> Iterator[Finding]:
 def _reading(view: View, sample: Sample) -> Finding:
     """Return which of two readings of unsaid poses the depth speaks for."""
     frame = view.image_frame
-    body = view.poses.bodies(frame)[0]
+    body = bodies(view.poses, frame)[0]
     said = (f'the poses on {view.topics["pose"]} do not say what they place, the camera '
             f'{frame!r} or {body!r}, on which it is mounted')
     both = (Remedy({'pose.child_frame': body}, 'if they place the body'),
@@ -112,7 +113,7 @@ def check_reading(sample: Sample) -> Iterator[Finding]:
         if track is None or 'depth' not in view.topics or is_cloud_of(view):
             continue
         given = view.poses.child or frame
-        others = [frame] if given != frame else view.poses.bodies(frame)[:1]
+        others = [frame] if given != frame else bodies(view.poses, frame)[:1]
         if not others or any(sample.config.pose.extrinsic) or \
                 view.poses.tree.chain(given, others[0], None).T is None:
             continue

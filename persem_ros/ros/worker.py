@@ -18,13 +18,13 @@ from persem_ros.core.warmup import warm_up
 from persem_ros.errors import PersemError
 from persem_ros.inputs.decode.serialized import Decoder
 from persem_ros.inputs.intake import LEGEND, TF, TRAJECTORY
-from persem_ros.inputs.sync.poses import PoseBuffer
 from persem_ros.pipeline import Pipeline
 from persem_ros.ros.calls import Answer, Calls
 from persem_ros.ros.checkpoints import CANNOT, Checkpoints
 from persem_ros.ros.complaints import Complaints
 from persem_ros.ros.forgetting import Forgetting
 from persem_ros.ros.images import NO_SOURCE
+from persem_ros.ros.jumps import Jumps
 from persem_ros.ros.map_schedule import ALL, MapSchedule
 from persem_ros.ros.mover import Mover
 from persem_ros.ros.refiner import Refiner
@@ -46,7 +46,6 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 TICK = 0.05             # s between two looks at frames that wait for what does not come
-JUMP = 0.3              # m that a localisation goes at once where it jumps, or voxels if larger
 
 
 class _Stopped(BaseException):
@@ -88,7 +87,7 @@ class Worker(threading.Thread):
         self.mover = Mover(Decoder(), self._wake)
         # Told that the map goes on in another memory.
         self.replaced: Callable[[VoxelMemory, VoxelMemory], None] = lambda old, new: None
-        self._watch_jumps = not config.topics.trajectory
+        self._jumps = Jumps(config)
         # Gives the memory of an empty map, None: any.
         self.renew: Callable[[], VoxelMemory | None] = lambda: None
         self._calls, self._forgetting = Calls(self._wake), Forgetting()
@@ -279,17 +278,6 @@ class Worker(threading.Thread):
         if self.config.topics.trajectory:
             self.memory.keeps_all = True        # max_history bounds what a refinement reads
 
-    def _look_for_jumps(self, item: Item) -> None:
-        """Say once that a localisation has corrected itself, and what to do."""
-        least = max(JUMP, self.config.memory.voxel_size)
-        for buffer in item.input.takers:
-            assert isinstance(buffer, PoseBuffer)       # it listens to /tf
-            said = buffer.jumped(least)
-            if said and self._watch_jumps:
-                self._watch_jumps = False
-                log.warning('%s; topics.trajectory takes the corrected path (nav_msgs/Path) and '
-                            'moves the map, persem map move does so afterwards', said)
-
     def _take(self, item: Item) -> None:
         if item.input.role == TRAJECTORY:
             self.mover.take(item.data)
@@ -299,8 +287,8 @@ class Worker(threading.Thread):
         if item.input.role == LEGEND:
             self._hint()
             self.map.publish_legend()
-        elif item.input.role == TF and self._watch_jumps:
-            self._look_for_jumps(item)
+        elif item.input.role == TF:
+            self._jumps.look(item.input.takers, self.config)
         self.first_look.take(item)
 
     def _frame(self, frame: Frame, now: int) -> None:

@@ -105,7 +105,7 @@ def test_any_order_in_the_file_gives_the_same_frames(tmp_path_factory, order, se
 def test_images_held_do_not_grow_with_the_recording(tmp_path, monkeypatch):
     """Labels at the end of the file, more depth before them than a queue may hold."""
     monkeypatch.setattr('persem_ros.inputs.intake.QUEUE_BYTES', 4000)
-    monkeypatch.setattr('persem_ros.inputs.recording.mcap_file.KEPT', 4000)
+    monkeypatch.setattr('persem_ros.inputs.recording.mcap_chunks.KEPT', 4000)
     with RecordingWriter(tmp_path / 'bag', compress=True) as out:
         drive(out, 150)
         labelled(out, range(150), lambda i: bags.stamp(i) + DAY)

@@ -8,16 +8,14 @@ by the summary at its end only where it spares a walk: so a file without an end 
 
 from array import array
 from bisect import bisect_right
-from collections import Counter, OrderedDict
+from collections import Counter
 from collections.abc import Collection, Iterator
 import os
 from pathlib import Path
 import struct
-from typing import NamedTuple
-from zlib import crc32
 
-from persem_ros.inputs.recording import packing
 from persem_ros.inputs.recording.channels import Channel
+from persem_ros.inputs.recording.mcap_chunks import Chunk, Chunks, text_at
 from persem_ros.inputs.recording.stamps import HEAD
 
 MAGIC = b'\x89MCAP0\r\n'
@@ -28,20 +26,7 @@ PREFIX = 22                 # bytes of a message record before its data
 RECORD = struct.Struct('<BQ')
 MESSAGE_HEAD = struct.Struct('<HIQQ')
 ALONE = (1 << 23) - 1       # in a place: a message outside of all chunks
-KEPT = 32 << 20             # bytes of chunks that are kept: compressed ones, and damaged ends. In
-#                             order, 2 MB unpack as seldom as 64; 32 hold what is 2 s late at 5 Hz
 PEEK = 1 << 14              # bytes that are read at once where only heads are wanted
-
-
-class Chunk(NamedTuple):
-    """Where a chunk lies, where its records do, and what they were before the compression."""
-
-    record: int
-    start: int
-    stored: int
-    size: int
-    crc: int
-    compression: str
 
 
 class McapFile:
@@ -77,14 +62,11 @@ class McapFile:
         try:
             self._fd = self._file.fileno()
             self._end = os.fstat(self._fd).st_size
-            self._chunks: list[Chunk] = []
+            self._chunks = Chunks(self._get, self._end, self._note)
             self._alone = array('q')            # places of messages outside of chunks
             self._inside: dict[int, set[int]] = {}      # chunk's record -> channels, if known
             self._schemas: dict[int, tuple[str, str]] = {}
             self._channels: dict[int, tuple[str, int, str]] = {}
-            self._cache: OrderedDict[int, bytes] = OrderedDict()
-            self._good: set[int] = set()        # chunks whose checksum was found right
-            self._bad: set[int] = set()
             self._starts: list[int] | None = None       # of chunks, as the summary says
             if self._get(0, len(MAGIC)) != MAGIC:
                 raise ValueError('no mcap file')
@@ -97,7 +79,7 @@ class McapFile:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
-        self._cache.clear()
+        self._chunks.clear()
 
     def heads(self, numbers: Collection[int]) -> Iterator[tuple[int, int, int, bytes]]:
         """
@@ -121,7 +103,7 @@ class McapFile:
             number, _, time, _ = MESSAGE_HEAD.unpack(self._get(at + 9, PREFIX))
             if number in wanted:
                 yield number, time, place, self._get(at + 9 + PREFIX, HEAD)
-        for k, chunk in enumerate(self._chunks):
+        for k, chunk in enumerate(self._chunks.all):
             inside = self._inside.get(chunk.record)
             if not inside or inside & wanted:     # a writer without indexes lists none
                 yield from self._heads_in(k, chunk, wanted)
@@ -132,11 +114,11 @@ class McapFile:
         if number == ALONE:
             size = RECORD.unpack(self._get(at, 9))[1]
             return self._get(at + 9 + PREFIX, size - PREFIX)
-        chunk = self._chunks[number]
-        if not chunk.compression and number in self._good and number not in self._cache:
+        chunk = self._chunks.all[number]
+        if self._chunks.is_plain(number):
             size = RECORD.unpack(self._get(chunk.start + at, 9))[1]
             return self._get(chunk.start + at + 9 + PREFIX, size - PREFIX)
-        content = self._content(number)
+        content = self._chunks.content(number)
         if len(content) < at + 9:
             return b''
         size = RECORD.unpack_from(content, at)[1]
@@ -148,8 +130,8 @@ class McapFile:
     def _heads_in(self, k: int, chunk: Chunk, wanted: set[int]) \
             -> Iterator[tuple[int, int, int, bytes]]:
         """Yield what heads() does of one chunk; of one that is not compressed little is read."""
-        if chunk.compression or k in self._cache:
-            content = self._content(k)
+        if chunk.compression or self._chunks.at_hand(k):
+            content = self._chunks.content(k)
             end, first, buffer = len(content), 0, content
         else:
             end, first, buffer = min(chunk.size, self._end - chunk.start), 0, b''
@@ -170,35 +152,6 @@ class McapFile:
                         begin:min(begin + HEAD, at - first + 9 + size)]
             at += 9 + size
 
-    def _content(self, k: int) -> bytes:
-        """Return the records of a chunk, b'' where they are damaged."""
-        if k in self._cache:
-            self._cache.move_to_end(k)
-            return self._cache[k]
-        if k in self._bad:
-            return b''
-        chunk = self._chunks[k]
-        try:
-            content = packing.unpacked(chunk.compression,
-                                       self._get(chunk.start, chunk.stored), chunk.size)
-            # A chunk that the file's end cuts off has no checksum that could be right.
-            if chunk.start + chunk.stored <= self._end and k not in self._good:
-                if len(content) != chunk.size or chunk.crc and crc32(content) != chunk.crc:
-                    raise ValueError('checksum')
-                self._good.add(k)
-        # Damaged bytes make the decompressors raise exceptions of their own.
-        except Exception as error:
-            self._bad.add(k)
-            self._note(str(error) if isinstance(error, packing.TooLarge) else 'damaged inside')
-            return b''
-        if not chunk.compression and k in self._good:   # read() takes single messages from now on
-            return content
-        self._cache[k] = content
-        kept = sum(map(len, self._cache.values()))
-        while kept > KEPT and len(self._cache) > 2:
-            kept -= len(self._cache.popitem(last=False)[1])
-        return content
-
     def _scan(self) -> None:
         """Find chunks and messages outside of them; schemas and channels wherever they are."""
         at = len(MAGIC)
@@ -209,11 +162,11 @@ class McapFile:
                 break
             if at > self._end or not HEADER <= kind <= DATA_END:
                 if kind == CHUNK:       # what there is of it may still be read
-                    self._add_chunk(start, size)
+                    self._chunks.add(start, size)
                 at = self._resumed(start)
                 continue
             if kind == CHUNK:
-                self._add_chunk(start, size)
+                self._chunks.add(start, size)
             elif kind == MESSAGE:
                 self._alone.append(ALONE << 40 | start)
             elif kind in (HEADER, SCHEMA, CHANNEL):
@@ -247,40 +200,20 @@ class McapFile:
         return [(kind, int.from_bytes(data[16:24], 'little')) for kind, data in self._summary()
                 if kind == CHUNK_INDEX]
 
-    def _add_chunk(self, start: int, size: int) -> None:
-        head = self._get(start + 9, min(size, 128))
-        if len(head) < 40:
-            return
-        try:
-            length, crc = int.from_bytes(head[16:24], 'little'), head[24:28]
-            compression, at = _text(head, 28)
-            stored = int.from_bytes(head[at:at + 8], 'little')
-        except (ValueError, IndexError):
-            return
-        if compression not in packing.KINDS:
-            self._note(f'compressed by {compression[:20]!r}, which is not known here')
-            return
-        # Chunks lie one behind the other: what reaches into the next would be read over and over.
-        stored = min(stored, max(0, size - at - 8))
-        if not compression:
-            length = min(length, stored)
-        self._chunks.append(Chunk(start, start + 9 + at + 8, stored, length,
-                                  int.from_bytes(crc, 'little'), compression))
-
     def _learn(self, kind: int, data: bytes) -> None:
         """Take a header, schema or channel; leave out one that is damaged."""
         try:
             if kind == HEADER:
-                self.profile = _text(data, 0)[0]
+                self.profile = text_at(data, 0)[0]
                 return
             number = int.from_bytes(data[:2], 'little')
             if kind == SCHEMA:
-                name, at = _text(data, 2)
-                self._schemas[number] = name, _text(data, at)[0]
+                name, at = text_at(data, 2)
+                self._schemas[number] = name, text_at(data, at)[0]
             else:
-                topic, at = _text(data, 4)
+                topic, at = text_at(data, 4)
                 schema = int.from_bytes(data[2:4], 'little')
-                self._channels[number] = topic, schema, _text(data, at)[0]
+                self._channels[number] = topic, schema, text_at(data, at)[0]
         except (ValueError, IndexError):
             self._note('damaged')
 
@@ -301,14 +234,14 @@ class McapFile:
         if sum(stated.values()) == total and not self.damage \
                 and set(stated) <= set(self._channels):
             return stated
-        for k in range(len(self._chunks)):
+        for k in range(len(self._chunks.all)):
             self._learn_inside(k)
         return Counter(number for number, *_ in self.heads(self._channels))
 
     def _learn_inside(self, k: int) -> None:
         """Take the schemas and channels of a chunk."""
-        chunk, at = self._chunks[k], 0
-        content = self._content(k) if chunk.compression else b''
+        chunk, at = self._chunks.all[k], 0
+        content = self._chunks.content(k) if chunk.compression else b''
         end = len(content) if chunk.compression else min(chunk.size, self._end - chunk.start)
         while at + 9 <= end:
             head = content[at:at + 9] if chunk.compression else self._get(chunk.start + at, 9)
@@ -330,14 +263,6 @@ class McapFile:
     def _note(self, text: str) -> None:
         if text not in self.damage:
             self.damage.append(text)
-
-
-def _text(data: bytes, at: int) -> tuple[str, int]:
-    """Return the string at an offset and where it ends; ValueError where it does not end."""
-    end = at + 4 + int.from_bytes(data[at:at + 4], 'little')
-    if end > len(data):
-        raise ValueError('a text that does not end')
-    return data[at + 4:end].decode(errors='replace'), end
 
 
 def _pairs(data: bytes) -> Iterator[tuple[int, int]]:

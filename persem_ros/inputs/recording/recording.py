@@ -4,25 +4,20 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import suppress
 from typing import Any, TYPE_CHECKING
 
 from persem_ros.errors import PersemError
 from persem_ros.guard import limits
 from persem_ros.inputs import names
 from persem_ros.inputs.assemble import Assembler
-from persem_ros.inputs.decode import messages, pose_messages
 from persem_ros.inputs.decode.messages import BadMessage
-from persem_ros.inputs.recording import latched
+from persem_ros.inputs.recording import latched, tied
 from persem_ros.inputs.recording.excerpt import Excerpt, WHOLE
-from persem_ros.inputs.recording.first_messages import first_messages, links
 from persem_ros.inputs.recording.index import Index
 from persem_ros.inputs.recording.reading import Reading
 from persem_ros.inputs.recording.source import Source
 from persem_ros.inputs.recording.topics import Choice
 from persem_ros.inputs.sync.pairing import UNUSED
-from persem_ros.inputs.sync.poses import PoseBuffer
-from persem_ros.settings.config import frame_of
 from persem_ros.settings.legend import Legend
 from persem_ros.settings.legend_files import load_legend
 
@@ -98,7 +93,7 @@ class Recording:
         self.said: set[str] = set()
         self.corrections: dict[str, Correction] = {}
         self._notes: dict[str, str] = {}
-        self._known: dict[str, bool] = {}
+        self._known: dict[str, bool] = {}       # by camera, what knows_map() says
         self._index: Index | None = None
         self._bounds: tuple[int | None, int | None] | None = None
         try:
@@ -202,27 +197,10 @@ class Recording:
         return -(-self.index.between(names, *self.bounds) // self.excerpt.every)
 
     def knows_map(self, camera: str) -> bool:
-        """
-        Return whether poses in another frame than frames.map are tied to it by transforms.
-
-        Then frames from before the first of these (a localisation that came late) have no place.
-
-        """
+        """Return whether transforms tie poses in another frame to frames.map (tied.knows_map)."""
         if camera not in self._known:
-            parent, target = self._parent(camera), self.config.frames.map
-            names = {t.name for t in (*self.choice.tf_of(camera),
-                                      *self.choice.tf_static_of(camera))}
-            self._known[camera] = parent not in ('', target) and any(
-                target in (up, child) for up, child in links(self.source, names))
+            self._known[camera] = tied.knows_map(self, camera)
         return self._known[camera]
-
-    def _parent(self, camera: str) -> str:
-        """Return the frame that a camera's poses are in, '' where none is said."""
-        chosen = self.topics[camera]
-        firsts = first_messages(self.source, {chosen['pose'].name}) if 'pose' in chosen else {}
-        with suppress(BadMessage):
-            return next((pose_messages.pose(msg)[2] for msg in firsts.values()), '')
-        return ''
 
     def needs_tf(self, camera: str) -> bool:
         """
@@ -232,25 +210,7 @@ class Recording:
         the poses are in (odometry that a localisation corrects).
 
         """
-        return self.knows_map(camera) or self._carried(camera)
-
-    def _carried(self, camera: str) -> bool:
-        """Return whether a camera moves on the body that its pose topic places (a gimbal)."""
-        chosen = self.topics[camera]
-        names = {chosen[kind].name for kind in ('pose', 'depth') if kind in chosen}
-        firsts = first_messages(self.source, names)
-        if len(names) < 2 or len(firsts) < 2 or not self.choice.tf_of(camera):
-            return False
-        frame = frame_of(self.config, camera) or messages.frame_id(firsts[chosen['depth'].name]) \
-            or messages.frame_id(self.infos[chosen['camera_info'].name])
-        poses = PoseBuffer(self.config)
-        for transform in self.statics_of(camera):
-            poses.add_static(*transform)
-        try:
-            poses.add(*pose_messages.pose(firsts[chosen['pose'].name]))
-        except BadMessage:
-            return False
-        return not poses.fixed(frame)
+        return self.knows_map(camera) or tied.carried(self, camera)
 
     def has(self, kind: str) -> bool:
         """Return whether any camera has the optional topic 'truth' or 'color'."""

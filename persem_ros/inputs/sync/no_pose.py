@@ -6,6 +6,7 @@ from bisect import bisect_left
 from typing import TYPE_CHECKING
 
 import numpy as np
+from persem_ros.inputs.sync.mount import bodies, unsaid
 from persem_ros.inputs.sync.track import seconds
 
 if TYPE_CHECKING:
@@ -22,8 +23,8 @@ def mount_sentence(poses: PoseBuffer, frame: str, setting: str = 'camera.frame')
     *setting* is the one that names the frame of the images where they do not.
 
     """
-    if poses.unsaid(frame):
-        body = poses.bodies(frame)[0]
+    if unsaid(poses, frame):
+        body = bodies(poses, frame)[0]
         return (f'the poses do not say what they place, the camera {frame!r} or {body!r}, on '
                 f'which it is mounted: --set pose.child_frame={body} if they place '
                 f'the body, --set pose.child_frame={frame} if the camera')

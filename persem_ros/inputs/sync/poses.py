@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import copy
-import re
 
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.trajectory import Correction
-from persem_ros.core.transforms import transform
-from persem_ros.errors import PersemError
-from persem_ros.inputs.decode.pose_messages import unit_quaternion
-from persem_ros.inputs.sync.track import Lookup, NO_POSE, seconds, Track
+from persem_ros.inputs.sync.mount import extrinsic_of, unsaid
+from persem_ros.inputs.sync.track import Lookup, NO_POSE, Track
 from persem_ros.inputs.sync.tree import Tree
 from persem_ros.settings.config import Config, Pose
 
 NO_MOUNT = 'no transform from the pose to the camera'
 UNSAID = 'poses that do not say what they place'
 OTHER_FRAME = 'poses in another frame than the map'
-BODIES = re.compile(r'(.*[/_])?(base_link|base|body|fcu|base_footprint)$')
 
 
 class PoseBuffer:
@@ -44,6 +40,8 @@ class PoseBuffer:
         Of /tf and /tf_static.
     settings : persem_ros.settings.config.Pose
     map_frame : str
+    extrinsic : ndarray, shape (4, 4), float64, or None
+        The setting pose.extrinsic, None where it is all 0.
     heard : (int, int) or None
         Smallest and largest stamp of a pose, ns.
     correction : persem_ros.core.trajectory.Correction or None
@@ -68,7 +66,7 @@ class PoseBuffer:
         """Go on with other settings pose.* and frames.map."""
         self.settings = pose
         self.map_frame = map_frame or self.map_frame
-        self._extrinsic = _extrinsic(pose.extrinsic)
+        self.extrinsic = extrinsic_of(pose.extrinsic)
         self._mounts: dict[tuple[str, str], NDArray[np.float64] | None] = {}
         self._gap, self._speed = round(pose.max_gap * 1e9), pose.max_speed
         self.tree.configure(pose)
@@ -140,9 +138,9 @@ class PoseBuffer:
         if self.settings.source == 'tf':
             found, mount = self.tree.chain(self.map_frame, frame, stamp), \
                 self._mount_in_tree(frame, stamp)
-            if found.T is not None and self._extrinsic is not None:
-                found = found._replace(T=found.T @ self._extrinsic)
-                mount = self._extrinsic if mount is None else mount @ self._extrinsic
+            if found.T is not None and self.extrinsic is not None:
+                found = found._replace(T=found.T @ self.extrinsic)
+                mount = self.extrinsic if mount is None else mount @ self.extrinsic
             return self._corrected(found, stamp, mount)
         if self._poses is None:
             return Lookup(None, False, NO_POSE)
@@ -198,29 +196,6 @@ class PoseBuffer:
                 tracks += self._tracks(self.map_frame, self._poses.parent)
         return max((track.latest for track in tracks if track.latest is not None), default=None)
 
-    def bodies(self, frame: str) -> list[str]:
-        """
-        Return the frames that unsaid poses may place in place of *frame*, the likeliest first.
-
-        These are the frames that carry the camera, below the frame that the poses are in; none
-        where the camera is mounted on nothing, or without any distance.
-
-        """
-        parent = self._poses.parent if self._poses else ''
-        path = self.tree.path(frame)[1:]
-        for top in (parent, self.map_frame):
-            path = path[:path.index(top)] if top in path else path
-        fixed = [name for name in path if self.tree.connected(name, frame, moving=False)]
-        if not path or path == fixed and all(self._same_place(name, frame) for name in fixed):
-            return []
-        named = [name for name in path if BODIES.match(name)]
-        return list(dict.fromkeys([*named, *reversed(fixed), *path]))
-
-    def _same_place(self, one: str, other: str) -> bool:
-        """Return whether static transforms give two frames one position and rotation."""
-        T = self.tree.chain(one, other, None).T
-        return T is not None and np.allclose(T, np.eye(4), atol=1e-6)
-
     def span(self, frame: str) -> tuple[int, int] | None:
         """Return the stamps between which poses, or /tf to *frame*, are known, ns."""
         if self.settings.source != 'tf':
@@ -231,41 +206,9 @@ class PoseBuffer:
             return None
         return max(t.stamps[0] for t in tracks), min(t.stamps[-1] for t in tracks)
 
-    def jumped(self, least: float) -> str:
-        """
-        Return the sentence that says how a localisation has just corrected itself, '' if not.
-
-        It has where what ties the map to the frame that the poses are in, or to one that moves on,
-        goes *least* metres, or turns as far at 10 m, from one sample to the next.
-
-        """
-        carried = {track.parent for track in self.tree.moving.values()}
-        carried |= {self._poses.parent} if self._poses else set()
-        for child, track in self.tree.moving.items():
-            if track.parent != self.map_frame or child not in carried or len(track.stamps) < 2:
-                continue
-            before, after = track.transforms[-2:]
-            way = float(np.linalg.norm(after[:3, 3] - before[:3, 3]))
-            turn = float(np.abs(after[:3, :3] - before[:3, :3]).max())
-            if max(way, 10 * turn) >= least:
-                return (f'{self.map_frame} -> {child} on /tf jumped by {way:.3g} m and '
-                        f'{np.degrees(turn):.2g} degrees at {seconds(track.stamps[-1])}, as '
-                        'after a loop closure: what was mapped before stays where it was')
-        return ''
-
     def tie(self, target: str, source: str, stamp: int) -> Lookup:
         """Return the Lookup of T_target_source at *stamp*, by /tf_static and /tf alone."""
         return self.tree.chain(target, source, stamp)
-
-    def fixed(self, frame: str) -> bool:
-        """Return whether settings and static transforms lead from the poses to *frame*."""
-        return not self.unsaid(frame) and (
-            self.child in ('', frame) or self._extrinsic is not None
-            or self.tree.connected(self.child, frame, moving=False))
-
-    def unsaid(self, frame: str) -> bool:
-        """Return whether nobody says if the poses place the camera or what it is mounted on."""
-        return not self.child and self._extrinsic is None and bool(self.bodies(frame))
 
     def _tracks(self, target: str, source: str) -> list[Track]:
         return [track for track, _ in self.tree.links(target, source)]
@@ -303,7 +246,7 @@ class PoseBuffer:
         mount = self._mounts[key]
         if mount is not None:
             return Lookup(mount)
-        if self.unsaid(frame):
+        if unsaid(self, frame):
             return Lookup(None, False, UNSAID)
         if self.child and self.tree.connected(self.child, frame):
             return self.tree.chain(self.child, frame, stamp)
@@ -311,23 +254,12 @@ class PoseBuffer:
 
     def _mounted(self, child: str, frame: str) -> NDArray[np.float64] | None:
         """Return T_child_camera where it never changes, None where it may or is not known."""
-        if child == frame or not child and not self.unsaid(frame):
-            if self._extrinsic is not None:
+        if child == frame or not child and not unsaid(self, frame):
+            if self.extrinsic is not None:
                 self.notes['extrinsic'] = (
                     'pose.extrinsic is not used: the poses name no frame but that of the camera; '
                     '--set pose.child_frame=base_link says that they place the body')
             return np.eye(4)
-        if self._extrinsic is not None:
-            return self._extrinsic
+        if self.extrinsic is not None:
+            return self.extrinsic
         return self.tree.chain(child, frame, None).T if child else None
-
-
-def _extrinsic(values: tuple[float, ...]) -> NDArray[np.float64] | None:
-    """Return the 4x4 matrix of the setting pose.extrinsic, None where it is all 0."""
-    if not any(values):
-        return None
-    try:
-        return transform(values[:3], unit_quaternion(values[3:]))
-    except PersemError:
-        raise PersemError(f'pose.extrinsic: expected x y z and a quaternion qx qy qz qw of '
-                          f'length 1, got {list(values)}') from None
