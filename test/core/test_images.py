@@ -151,6 +151,30 @@ def test_the_median_depth_is_numpys(seed, n, scale, tied):
         assert median_within(depth, low, high, low, high)
 
 
+@given(seeds, st.integers(0, 9), st.sampled_from([0.0, 0.2, 0.6]), st.booleans())
+@examples(max_examples=60)
+def test_a_median_is_within_where_most_depths_say_so(seed, rows, missing, sloping):
+    # Up to 27 000 depths, of which each half is counted in goes: it ends where it knows enough.
+    rng = np.random.default_rng(seed)
+    depth = rng.choice([np.arange(1.0, 9.0), rng.uniform(0.0, 9.0, 8)]).repeat(10)
+    depth = rng.choice(depth, (rows, 3000))
+    if sloping:
+        depth *= np.linspace(0.2, 1.0, rows)[:, None]
+    chosen = rng.random(depth.shape) < missing
+    depth[chosen] = rng.choice(NO_DEPTHS, chosen.sum())
+    low, high = float(rng.choice([0.0, 0.5, 2.0])), float(rng.choice([7.0, 50.0]))
+    inside = depth[(depth >= low) & (depth <= high) & (depth > 0.0)]
+    middle = np.median(inside) if len(inside) else np.nan
+    for least, most in [(low, high), (low, middle), (middle, high), (middle + 1e-9, high),
+                        *np.sort(rng.uniform(low, high, (4, 2)))]:
+        found = median_within(depth, low, high, least, most)
+        assert not found or least <= middle <= most
+        within = ((depth > 0.0) & (depth >= least) & (depth <= most)).reshape(-1)
+        halves = within[:within.size // 2], within[within.size // 2:]
+        if all(2 * np.count_nonzero(half) > half.size for half in halves):
+            assert found
+
+
 @given(seeds, st.sampled_from([20.0, 100.0, 900.0]), st.floats(0.05, 2.0))
 @examples(max_examples=60)
 def test_the_stride_is_that_of_the_whole_images_median(seed, focal, size):
