@@ -1,4 +1,4 @@
-"""All of the numba machinery: one decorator, one way to use several cores, one warm-up."""
+"""The numba machinery but prefetch.py: one decorator, one way to use cores, one warm-up."""
 
 from __future__ import annotations
 

@@ -9,16 +9,18 @@ from numba import types
 from numba.extending import intrinsic
 
 
-def _typed(typing_context: Any, records: Any, row: Any, offset: Any) -> Any:
+def _prefetch(typing_context: Any, records: Any, row: Any, offset: Any) -> Any:
     """
     Have the cache line fetched that holds byte *offset* of records[row]: prefetch(), for kernels.
 
     A load that misses the caches stops a core some dozens of instructions later; what is asked
-    for in this way does not. It is a hint: a row that is not there does no harm.
+    for in this way does not. It is a hint: a row that is not there does no harm. records is an
+    array (n,) of records in one piece; row and offset are int64.
 
     """
-    if not (isinstance(records, types.Array) and isinstance(records.dtype, types.Record)):
-        return None
+    if not (isinstance(records, types.Array) and isinstance(records.dtype, types.Record)
+            and (records.ndim, records.layout) == (1, 'C')):
+        return None     # numba says that there is no such function
     return types.void(records, types.int64, types.int64), _instruction
 
 
@@ -36,4 +38,4 @@ def _instruction(context: Any, builder: Any, signature: Any, arguments: Any) -> 
     return context.get_dummy_value()
 
 
-prefetch: Any = intrinsic(_typed)
+prefetch: Any = intrinsic(_prefetch)
