@@ -17,8 +17,8 @@ from persem_ros.frames import UNKNOWN
 
 GRAIN = 4096        # observations that are worth a thread
 AHEAD = 512         # observations whose records are fetched at once; they fit the cache
-# What is known of a part's observations: how many are left for the second round, and what these
-# take: links; how many of the voxels' oldest links they retire; how many observations are stored
+# What is known of a part's observations: how many are left for the second round, how many links
+# these take and how many of their voxels' oldest they retire; how many observations are stored
 # more than before; how many wait for a record of spilt evidence, in the first round and in all.
 PART = np.dtype([('left', 'i8'), ('links', 'i8'), ('drops', 'i8'), ('stored', 'i8'),
                  ('waiting', 'i8'), ('late', 'i8')])
@@ -118,7 +118,8 @@ def write_there(voxels, links, offsets, labels, confidences, where, f, max_histo
         if rows[p] >= 0:
             voxel = voxels[rows[p]]
             n, tail = np.int64(voxel.n), np.int64(voxel.tail)
-            drops = max_history > 0 and n + 1 - np.int64(voxel.first) >= max_history + CHUNK
+            drops = max_history > 0 and tail > 0 and \
+                n + 1 - np.int64(voxel.first) >= max_history + CHUNK
         if drops or n % CHUNK == 0 or tail == 0:
             part.links += n % CHUNK == 0 or tail == 0
             part.drops += drops
