@@ -12,6 +12,7 @@ from persem_ros.preflight.sample import Sample, Stamps, View
 EXACT = 1_000_000       # ns: stamps that agree, but for their rounding
 SOON = 5_000_000        # ns, in which no network is done
 FINE, FITS, FEW = 0.9, 0.8, 0.5     # shares of the images that could have a partner
+SHARED, MISSED = 0.2, 3     # share of labels with depth, and number without, where depth is lost
 LONGEST = 5_000_000_000             # ns, of a lag that is looked for
 SAMPLE = 2000           # label images
 
@@ -79,6 +80,34 @@ def lags(labels: Stamps, depth: Stamps, tolerance: int) -> list[tuple[int, int]]
     return sorted(found.items(), key=lambda item: (-item[1], item[0] < -tolerance, abs(item[0])))
 
 
+def lost(labels: Stamps, depth: Stamps) -> int:
+    """
+    Return of how many label images the depth was lost; 0: that is not what their stamps say.
+
+    It is where a good share of them (SHARED) has the very stamp of a depth image, and the others
+    are whole periods away from the nearest one, between the first and the last.
+
+    """
+    off = distances(labels, depth)
+    exact = np.abs(off) <= EXACT
+    inside = ~exact & (labels > depth[0]) & (labels < depth[-1])
+    if exact.sum() < max(SHARED * len(labels), 3) or inside.sum() < MISSED:
+        return 0
+    period = np.percentile(np.diff(labels), 10)
+    if period <= 2 * SOON:
+        return 0
+    beside = np.abs(off[inside] - period * np.rint(off[inside] / period))
+    return int(inside.sum()) if np.percentile(beside, 95) <= SOON else 0
+
+
+def _missing(missing: int, n: int) -> Finding:
+    """Return that depth of *missing* of n label images was lost, which no offset brings back."""
+    return Finding(WARN, f'{missing} of {n} label images have no depth image, others have one of '
+                         'their very stamp: depth was lost when it was recorded, not stamped '
+                         'otherwise; frames without it are left out, the others are right; to '
+                         'record all of it: docs/transports.md')
+
+
 def _view(view: View, sample: Sample) -> Iterator[Finding]:
     offset = round(sample.config.sync.offset_labels * 1e9)
     labels = (np.unique(view.stamps['labels']) + offset)[:SAMPLE]
@@ -90,6 +119,10 @@ def _view(view: View, sample: Sample) -> Iterator[Finding]:
     tolerance = round(sample.config.sync.tolerance * 1e9)
     off = distances(labels, depth)
     near = np.abs(off) <= tolerance
+    missing = lost(labels, depth)
+    if missing:
+        yield _missing(missing, len(labels))
+        return
     possible = min(len(labels), len(depth))
     now = int(near.sum())
     exact = int(np.count_nonzero(np.abs(off) <= EXACT))

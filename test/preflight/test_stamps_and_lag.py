@@ -10,7 +10,7 @@ from persem_ros.cli import main
 from persem_ros.errors import PersemError
 from persem_ros.inputs.recording.excerpt import Excerpt
 from persem_ros.outputs.recording.writer import RecordingWriter
-from persem_ros.preflight.lag import distances, lags
+from persem_ros.preflight.lag import distances, lags, lost
 from persem_ros.preflight.look import opened
 from persem_ros.settings.config import Config, updated
 import pytest
@@ -19,13 +19,15 @@ MS = 1_000_000
 
 
 def written(path, labels=lambda i: bags.stamp(i), depth=lambda i: bags.stamp(i),
-            pose=lambda i: bags.stamp(i - 0.5), n=20, every=1, poses_every=1):
-    """Write *n* frames; the functions give stamps in ns."""
+            pose=lambda i: bags.stamp(i - 0.5), n=20, every=1, poses_every=1,
+            there=lambda i: True):
+    """Write *n* frames, with depth where it is *there*; the functions give stamps in ns."""
     with RecordingWriter(path) as out:
         for i in range(n):
             out.camera_info('depth/camera_info', depth(i), 'camera', bags.WIDTH, bags.HEIGHT,
                             bags.K)
-            out.image('depth/image', depth(i), 'camera', bags.depth(i), '32FC1')
+            if there(i):
+                out.image('depth/image', depth(i), 'camera', bags.depth(i), '32FC1')
             if i % every == 0:
                 out.image('semantic/image', labels(i), 'camera', bags.labels(i), 'mono16')
         for i in range(0, n + 2, poses_every):
@@ -182,6 +184,29 @@ def test_labels_without_depth_are_summed_up_with_the_distance(tmp_path, capsys):
                  '--set', 'memory.voxel_size=0.2']) == 0
     out = capsys.readouterr().out
     assert '3 dropped: no depth within tolerance; the nearest depth image was 30 ms before' in out
+
+
+@pytest.mark.parametrize('share', [0.4, 0.7])
+@pytest.mark.parametrize('seed', range(2))
+def test_depth_that_was_lost_is_called_lost_not_late(tmp_path, capsys, share, seed):
+    there = np.random.default_rng(seed).random(60) > share
+    there[[0, -1]] = True
+    path = written(tmp_path / 'bag', n=60, there=lambda i: there[i])
+    assert main(['info', str(path)]) == 0
+    out = capsys.readouterr().out
+    assert f'{60 - there.sum()} of 60 label images have no depth image' in out
+    assert 'offset_labels' not in out
+    assert main(['replay', str(path), '--out', str(tmp_path / 'out'),
+                 '--set', 'memory.voxel_size=0.2']) == 0
+    out = capsys.readouterr().out
+    assert 'it was lost when it was recorded' in out and 'offset_labels' not in out
+
+
+@pytest.mark.parametrize('shift', [30 * MS, 150 * MS])
+def test_nothing_is_called_lost_where_all_labels_are_late_alike(shift):
+    depth = np.arange(50) * 100 * MS
+    assert lost(depth, depth) == 0
+    assert lost(depth + shift, depth) == 0
 
 
 def test_the_printed_command_is_complete(tmp_path, capsys):

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 AHEAD = 30.0            # s that poses are read before the images: what one needs is there
 POSES_KEPT = 300.0      # s
+ROUNDED = 5_000_000     # ns by which whole periods may miss
 FIRST = {INFO, LABELS_INFO, POSE, TF, LEGEND}       # read whatever the bounds of the images are
 RANKS = {**dict.fromkeys(FIRST, -1), **ORDER}
 
@@ -195,10 +196,11 @@ class Reading(Intake):
             far = f'{abs(middle):.0f} ms {"before" if middle > 0 else "after"} them' \
                 if high - low < 1 else f'{abs(middle):.0f} ms away (median; behind it by ' \
                                        f'{low:.0f} to {high:.0f} ms)'
-            self.examples[NO_DEPTH] = (
-                f'the nearest depth image was {far}, sync.tolerance is '
-                f'{self._tolerance / 1e6:g} ms: --set sync.tolerance=…, or sync.offset_labels '
-                'where labels are always late by the same')
+            advice = 'it was lost when it was recorded: docs/transports.md' if _lost(
+                self._misses) else ('--set sync.tolerance=…, or sync.offset_labels where labels '
+                                    'are always late by the same')
+            self.examples[NO_DEPTH] = (f'the nearest depth image was {far}, sync.tolerance is '
+                                       f'{self._tolerance / 1e6:g} ms: {advice}')
         elif self.dropped[NO_DEPTH]:
             self.examples[NO_DEPTH] = 'no depth image was there at all'
 
@@ -212,3 +214,11 @@ class Reading(Intake):
                 self._recording.note('labels', station.assembler.reader.note)
         self.explain()
         self._explain_misses()
+
+
+def _lost(misses: list[int]) -> bool:
+    """Return whether distances (ns) to the nearest depth image are whole periods, not alike."""
+    off = np.array(misses, float)
+    period = np.abs(off).min()
+    return bool(np.ptp(off) >= period and
+                np.abs(off - period * np.rint(off / period)).max() <= ROUNDED)
