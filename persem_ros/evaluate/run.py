@@ -16,6 +16,7 @@ from persem_ros.evaluate.measure.taxonomy import taxonomy
 from persem_ros.evaluate.show import page, table
 from persem_ros.evaluate.show.paper_tables import tables
 from persem_ros.evaluate.work import jobs, manifest
+from persem_ros.evaluate.work.called import called
 from persem_ros.evaluate.work.task import ALL_METHODS, Task
 from persem_ros.inputs.recording import finding
 from persem_ros.inputs.recording.excerpt import Excerpt, WHOLE
@@ -24,10 +25,10 @@ from persem_ros.outputs.results import rundir, timing
 from persem_ros.preflight.look import opened
 from persem_ros.settings import config_file
 from persem_ros.settings.config import nearest
-from persem_ros.settings.legend import Legend
 
 if TYPE_CHECKING:
     from persem_ros.settings.config import Config
+    from persem_ros.settings.legend import Legend
 
 log = logging.getLogger(__name__)
 REQUEST = 'request.json'        # what the folder is an evaluation of
@@ -176,12 +177,13 @@ def check(task: Task) -> int:
     if task.config.map.path:
         raise PersemError('map.path: an evaluation begins with an empty map; leave it out')
     with opened(task.recording, task.config, excerpt=task.excerpt) as recording:
-        text = recording.legend_text
-        legend = Legend.from_yaml(text, "the recording's legend") if text else None
-        found = taxonomy(task.labels, task.grouped, task.dynamic, legend)
+        names = called(recording, task.labels)
+        found = taxonomy(task.labels, task.grouped, task.dynamic, names.legend)
         if found.table is not None and not found.table:
             raise PersemError(f'{recording.path}: --grouped and --no-dynamic need a legend with '
                               'classes; name one with --labels')
+        if names.said:
+            log.warning('%s: %s', recording.name, names.said)
         if not recording.has('truth'):
             log.warning('%s has no truth: accuracy unknown, flicker only', recording.name)
         return 2 * recording.expected
@@ -192,13 +194,19 @@ def warn(results: dict[str, Result]) -> None:
     for name, (summary, _) in results.items():
         outside = summary['outside_taxonomy']
         if outside:
+            legend = page.legend_of(summary)
             log.warning('%s: true ids outside the taxonomy are ignored: %s', name, ', '.join(
-                f'{i} ({n} pixels)' for i, n in outside.items()))
+                f'{i} {_quoted(legend, int(i))}({n} pixels)' for i, n in outside.items()))
         if summary['frames']['without_prediction']:
             log.warning('%s: %d frames have no prediction and were left out', name,
                         summary['frames']['without_prediction'])
         for note in summary['notes']:
             log.warning('%s: %s', name, note)
+
+
+def _quoted(legend: Legend, number: int) -> str:
+    """Return a class's name in quotes and a space, '' where the legend has none."""
+    return f"'{legend.name(number)}' " if number in legend.ids else ''
 
 
 def chosen_methods(methods: Sequence[str]) -> tuple[str, ...]:

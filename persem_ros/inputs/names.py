@@ -51,6 +51,8 @@ class Names:
     strict : bool
         Whether a first table that only calls ids otherwise than *legend* is renamed, too: names
         of a map to go on with say what its ids are, labels.legend is how the user calls them.
+    whose : str
+        What *legend* is to the user; '': labels.legend where that is set, else the map's.
 
     Attributes
     ----------
@@ -60,11 +62,11 @@ class Names:
     """
 
     def __init__(self, config: Config, legend: Legend | None = None,
-                 strict: bool = False) -> None:
+                 strict: bool = False, whose: str = '') -> None:
         """Start without tables."""
         self.legend = legend or Legend()
         self._given, self._strict = bool(legend and legend.classes), strict
-        self._whose = 'labels.legend' if config.labels.legend else "the map's legend"
+        self._whose = whose or ('labels.legend' if config.labels.legend else "the map's legend")
         self._said = ''
         self._reserved = {*config.memory.ignore_labels, *config.memory.dynamic_labels, UNKNOWN}
         self._ignored = {*config.memory.ignore_labels, UNKNOWN}
@@ -188,9 +190,9 @@ def renamed(labels: NDArray[np.int32], new: NDArray[np.int32] | None) -> NDArray
 
 
 def filled(config: Config, legend: Legend | None, tables: Iterable[Table],
-           strict: bool = False) -> Names:
+           strict: bool = False, whose: str = '') -> Names:
     """Return Names with tables that are all known: those with stamps first, as in a replay."""
-    names, tables = Names(config, legend, strict), list(tables)
+    names, tables = Names(config, legend, strict, whose), list(tables)
     for table in sorted(tables, key=lambda one: one.stamp is None):
         names.add(table)
     return names

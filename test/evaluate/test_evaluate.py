@@ -339,3 +339,41 @@ def test_methods_against_the_reference(recording):
         found = sequence.labels_of(method)
         for voxel, (label, _) in reference.label(plain, method, config_.refine).items():
             assert found[memory.number(voxel)] == label, (method, voxel)
+
+
+def named(tmp_path, **names):
+    """Return the path of a legend of {name: id}, and write it."""
+    path = tmp_path / 'given.yaml'
+    path.write_text('classes:\n' + ''.join(f'- {{id: {i}, name: {n}}}\n'
+                                           for n, i in names.items()))
+    return path
+
+
+def test_ids_follow_the_names_of_the_taxonomy(tmp_path, caplog):
+    path = worlds.write(tmp_path / 'r', legend=named(tmp_path, a=1, b=3, c=7).read_text())
+
+    def evaluated(out, labels, **settings):
+        shown = run.evaluate([path], tmp_path / out, config(**settings), ('raw2d', 'persem'),
+                             labels=str(labels), workers=1, figures=False)['sequences']['r']
+        return shown, {c['name']: shown['methods']['raw2d']['iou'].get(str(c['id']))
+                       for c in shown['classes']}
+
+    same, by_name = evaluated('same', named(tmp_path, a=1, b=3))
+    assert 'ids follow' not in caplog.text and set(same['methods']['raw2d']['iou']) == {'3'}
+    moved, by_moved_name = evaluated('moved', named(tmp_path, b=7, a=3))
+    assert ("r: ids follow their names, as --labels has them: 'a' 1 is 3, 'b' 3 is 7, 'c' 7 is "
+            "0; without a name in --labels: 7 'c'; to keep ids") in caplog.text
+    assert "are ignored: 0 'c' (" in caplog.text and moved['names'].startswith('ids follow')
+    assert by_moved_name == by_name and by_name['b'] > 50
+    kept = evaluated('kept', named(tmp_path, b=7, a=3), labels__topic='none')[0]
+    assert set(kept['methods']['raw2d']['iou']) == {'3', '7'} and kept['names'] == ''
+
+
+def test_names_that_only_differ_are_said(tmp_path, caplog):
+    path = worlds.write(tmp_path / 'r', legend=named(tmp_path, a=1, b=3, c=7).read_text())
+    plain = run.evaluate([path], tmp_path / 'plain', config(), workers=1, figures=False)
+    other = run.evaluate([path], tmp_path / 'other', config(), labels=str(
+        named(tmp_path, a=1, street=3, c=7, mover=9)), workers=1, figures=False)
+    assert ("r: --labels and the recording name classes otherwise, ids stay as they are: 3 'b' is "
+            "'street'") in caplog.text
+    assert plain['sequences']['r']['methods'] == other['sequences']['r']['methods']

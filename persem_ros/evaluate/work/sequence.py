@@ -23,6 +23,7 @@ from persem_ros.evaluate.measure.measures import summary
 from persem_ros.evaluate.measure.result import Result
 from persem_ros.evaluate.measure.taxonomy import taxonomy
 from persem_ros.evaluate.measure.voxel_kinds import kinds_of
+from persem_ros.evaluate.work.called import called
 from persem_ros.evaluate.work.pictures import Panels, top_view
 from persem_ros.evaluate.work.stream import Stream
 from persem_ros.outputs.results.peak import PeakMemory
@@ -32,8 +33,6 @@ from persem_ros.preflight.look import opened
 from persem_ros.preflight.voxel_fit import VoxelFit
 from persem_ros.settings.config import IMAGE_METHODS, METHODS
 from persem_ros.settings.heights import hinted
-from persem_ros.settings.legend import Legend
-from persem_ros.settings.legend_files import load_legend
 
 if TYPE_CHECKING:
     from persem_ros.evaluate.work.task import Task
@@ -79,14 +78,15 @@ class Sequence:
             self, task: Task, recording: Recording, tick: Callable[[], object] | None = None
     ) -> None:
         self.task, self.recording, self._tick = task, recording, tick
-        self.stream = Stream(recording, task.predictions, task.disturbance)
+        names = called(recording, task.labels)
+        self.stream = Stream(recording, task.predictions, task.disturbance, names.new)
         self.watch = Stopwatch()
         self.pipeline = Pipeline(recording.config)
         self.images = [m for m in task.methods if m in IMAGE_METHODS]
         self.methods = (*self.images, *(m for m in task.methods if m in METHODS))
-        legend = _legend(recording, task)
-        self.taxonomy = taxonomy(task.labels, task.grouped, task.dynamic, legend)
-        self.refine = hinted(task.config, legend).refine
+        self.taxonomy = taxonomy(task.labels, task.grouped, task.dynamic, names.legend)
+        self.names = names
+        self.refine = hinted(task.config, names.legend).refine
         self.classes = Classes(self.taxonomy.table)
         self.fit = VoxelFit(task.config.memory)
         self.frames = 0
@@ -186,7 +186,8 @@ class Sequence:
             'classes': [{'id': int(i), 'name': self.taxonomy.legend.name(i),
                          'color': list(self.taxonomy.legend.color(i))}
                         for i in ids[1:]],
-            'legend': self.taxonomy.legend.to_yaml(),
+            'legend': self.names.beside(self.taxonomy.legend).to_yaml(),
+            'names': self.names.said,
             'notes': [*self.recording.notes, *self.fit.sentences(memory)],
             'runtime': {
                 'history_s': seconds['history'],
@@ -232,12 +233,3 @@ class Sequence:
 def _everything(settings: Memory) -> Memory:
     """Return the settings that say which ids count, for whole images."""
     return replace(settings, dynamic_labels=(-1,))
-
-
-def _legend(recording: Recording, task: Task) -> Legend:
-    """Return the legend of labels.legend, else the recording's, else an empty one."""
-    if task.config.labels.legend:
-        return load_legend(task.config.labels.legend)
-    if recording.legend_text:
-        return Legend.from_yaml(recording.legend_text, "the recording's legend")
-    return Legend()

@@ -15,6 +15,7 @@ from persem_ros.convert.stamps import stamp_of_name, stamps_from_names
 from persem_ros.core.transforms import transform
 from persem_ros.errors import PersemError
 from persem_ros.frames import same_aspect
+from persem_ros.inputs.names import renamed
 from persem_ros.settings.config import nearest
 
 if TYPE_CHECKING:
@@ -89,6 +90,8 @@ class Stream:
     predictions : str
         Folder of label images that take the place of the recorded ones; '': none.
     disturbance : Disturbance
+    new : ndarray, shape (65536,), int32, optional
+        The id of a frame for each of the recording's, and of the predictions', -1 for none.
 
     Attributes
     ----------
@@ -98,8 +101,9 @@ class Stream:
     """
 
     def __init__(self, recording: Recording, predictions: str = '',
-                 disturbance: Disturbance = Disturbance()) -> None:
-        self.recording, self.disturbance = recording, disturbance
+                 disturbance: Disturbance = Disturbance(),
+                 new: NDArray[np.int32] | None = None) -> None:
+        self.recording, self.disturbance, self._new = recording, disturbance, new
         self.predictions = prediction_files(predictions) if predictions else None
         self.unpredicted = 0
 
@@ -119,6 +123,9 @@ class Stream:
                     self.unpredicted += 1
                     continue
                 frame = predicted(frame, path)
+            if self._new is not None:
+                frame = replace(frame, labels=renamed(frame.labels, self._new), truth=None
+                                if frame.truth is None else renamed(frame.truth, self._new))
             yield frame
 
 
