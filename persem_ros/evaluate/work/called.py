@@ -48,6 +48,7 @@ def called(recording: Recording, labels: str) -> Called:
     Parameters
     ----------
     recording : Recording
+        Open.
     labels : str
         Taxonomy: a shipped legend or a file; '': none.
 
