@@ -7,7 +7,7 @@ import time
 import numpy as np
 from persem_ros.core.frame.clear import clear
 from persem_ros.core.frame.view import View
-from persem_ros.core.memory.paging import block_numbers
+from persem_ros.core.memory.blocks import block_numbers
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.warmup import warm_up
 from persem_ros.frames import Frame, IGNORED

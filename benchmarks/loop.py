@@ -10,7 +10,7 @@ from persem_ros.core.frame.observe import Observations
 from persem_ros.core.frame.render import render_map
 from persem_ros.core.jit import set_threads
 from persem_ros.core.memory.capture import dump
-from persem_ros.core.memory.dump import load
+from persem_ros.core.memory.loading import load
 from persem_ros.core.memory.move import corrected, correction_of, moved
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine.whole import refine

@@ -118,7 +118,7 @@ class Map:
         dict
             voxel (n, 3) int32; xyz (n, 3) float64, centres, metres in the map frame; label,
             majority (n,) uint16; confidence (n,) float32; observations, switches (n,) uint32;
-            source (n,) uint8, place in outputs.map.cloud.SOURCES; gone (n,) uint8;
+            source (n,) uint8, place in persem_ros.notebook.SOURCES; gone (n,) uint8;
             first_stamp, last_stamp (n,) int64 ns.
 
         """

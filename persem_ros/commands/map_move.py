@@ -30,7 +30,7 @@ def add_parser(actions: _SubParsersAction[Any]) -> None:
 def run(args: Namespace) -> None:
     """Move the session, refine, write; say how far it went."""
     import numpy as np
-    from persem_ros.core.memory.dump import load
+    from persem_ros.core.memory.loading import load
     from persem_ros.inputs.recording.corrected import load as load_trajectory
     from persem_ros.outputs.map import store
     from persem_ros.outputs.map.move import move_session, session_of

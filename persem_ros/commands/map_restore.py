@@ -26,7 +26,7 @@ def run(args: Namespace) -> None:
     from dataclasses import replace
 
     import numpy as np
-    from persem_ros.core.memory.dump import load
+    from persem_ros.core.memory.loading import load
     from persem_ros.outputs.map.rewrite import held, put_back
     with held(args.file) as stored:
         saved = stored.saved

@@ -24,13 +24,13 @@ from persem_ros.core.frame.stride import thinned
 from persem_ros.core.frame.tally import renumber
 from persem_ros.core.geometry.labelling import with_ring
 from persem_ros.core.jit import is_complete, keep_memory, mark_complete, threads
+from persem_ros.core.memory.blocks import block_numbers
 from persem_ros.core.memory.capture import dump
 from persem_ros.core.memory.changes import Changes
-from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.evict import keep_near
 from persem_ros.core.memory.frame_pages import pages_of
+from persem_ros.core.memory.loading import load
 from persem_ros.core.memory.move import moved
-from persem_ros.core.memory.paging import block_numbers
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine.job import finish
 from persem_ros.core.refine.labelled import label

@@ -9,7 +9,7 @@ import numpy as np
 from persem_ros.core.geometry.columns import columns_of
 from persem_ros.core.geometry.looks import look as look_at, pairs_of
 from persem_ros.core.geometry.posteriors import MOST as MOST_DENSE
-from persem_ros.core.memory.paging import block_numbers
+from persem_ros.core.memory.blocks import block_numbers
 from persem_ros.core.refine.labelled import number_of_ids
 from persem_ros.core.refine.reach import surrounded
 from persem_ros.mosaic.folder import save_arrays

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.geometry.columns import cells_at
 from persem_ros.core.geometry.kept import within
+from persem_ros.core.memory.blocks import block_numbers
 from persem_ros.core.memory.capture import dump
 from persem_ros.core.memory.dump import Blocks
-from persem_ros.core.memory.paging import block_numbers
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine import snapshot
 from persem_ros.core.refine.job import finish, Job

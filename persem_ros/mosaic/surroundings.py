@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.memory.capture import dump
-from persem_ros.core.memory.dump import Blocks, load, MemoryDump
+from persem_ros.core.memory.dump import Blocks, MemoryDump
 from persem_ros.core.memory.frame_table import FrameTable
+from persem_ros.core.memory.loading import load
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.mosaic.blocks import side_by_side
 from persem_ros.mosaic.folder import load_array

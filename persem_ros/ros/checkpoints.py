@@ -12,7 +12,8 @@ from persem_ros.errors import PersemError
 from persem_ros.ros.priority import stand_back
 
 if TYPE_CHECKING:
-    from persem_ros.core.memory.paging import Checkpoint, Pager
+    from persem_ros.core.memory.checkpoint import Checkpoint
+    from persem_ros.core.memory.paging import Pager
 
 log = logging.getLogger(__name__)
 AGAIN = 2.0         # s after which a checkpoint that failed is tried again

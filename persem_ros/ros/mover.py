@@ -15,8 +15,8 @@ from persem_ros.core.frame.moved import moved as moved_frame
 from persem_ros.core.frame.observe import Observations
 from persem_ros.core.frame.sessions import nothing_forgotten
 from persem_ros.core.memory.capture import Capture
-from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.frame_table import FrameTable
+from persem_ros.core.memory.loading import load
 from persem_ros.core.memory.move import corrected, correction_of, moved
 from persem_ros.core.memory.voxel_memory import stored_observations, VoxelMemory
 from persem_ros.errors import PersemError

@@ -10,8 +10,8 @@ from persem_ros.core.frame.render import voxel_image
 from persem_ros.core.frame.view import warp_of
 from persem_ros.core.memory.capture import dump
 from persem_ros.core.memory.changes import Changes
-from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.evict import drop
+from persem_ros.core.memory.loading import load
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine.explain import explain
 from persem_ros.core.refine.job import finish

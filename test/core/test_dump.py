@@ -5,9 +5,9 @@ from dataclasses import fields, replace
 from core_worlds import core_of, examples, observations, refinements, worlds
 from hypothesis import given, strategies as st
 import numpy as np
-from persem_ros.core.memory import dump as module
+from persem_ros.core.memory import loading
 from persem_ros.core.memory.capture import dump
-from persem_ros.core.memory.dump import load
+from persem_ros.core.memory.loading import load
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine.job import finish
 from persem_ros.core.refine.regions import regions
@@ -114,11 +114,11 @@ def test_a_map_needs_room_for_each_of_its_parts_alone(monkeypatch):
     saved = dump(core_of([(k, {(x, y, 0): (k, 1.0) for x in range(16) for y in range(8)}, ())
                           for k in range(9)]))
     room = {'blocks': 2, 'voxels': 128, 'links': 512, 'spills': 256}
-    monkeypatch.setattr(module, 'VoxelMemory', lambda *arguments: small(*arguments, **room))
+    monkeypatch.setattr(loading, 'VoxelMemory', lambda *arguments: small(*arguments, **room))
     assert load(saved).n_voxels == 128
     for name in room:
         less = {**room, name: room[name] // 2 - 1 if name != 'spills' else 255}
-        monkeypatch.setattr(module, 'VoxelMemory', lambda *arguments: small(*arguments, **less))
+        monkeypatch.setattr(loading, 'VoxelMemory', lambda *arguments: small(*arguments, **less))
         with pytest.raises(PersemError, match='the map is full'):
             load(saved)
 

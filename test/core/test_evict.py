@@ -5,8 +5,8 @@ from dataclasses import replace
 from core_worlds import observations
 import numpy as np
 from persem_ros.core.memory.capture import dump
-from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.evict import keep_near
+from persem_ros.core.memory.loading import load
 from persem_ros.core.memory.voxel_memory import stored_observations, VoxelMemory
 from persem_ros.core.refine.job import finish
 from persem_ros.core.refine.turns import begin

@@ -6,8 +6,8 @@ from core_worlds import columns_of, core_of, examples, observations, refinements
 from hypothesis import given, strategies as st
 import numpy as np
 from persem_ros.core.memory.capture import dump
-from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.evict import drop
+from persem_ros.core.memory.loading import load
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine import sweep
 from persem_ros.core.refine.job import abandon, finish

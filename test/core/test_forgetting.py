@@ -6,8 +6,8 @@ from core_worlds import columns_of, examples, observations, refinements, worlds
 from hypothesis import given, strategies as st
 import numpy as np
 from persem_ros.core.memory.capture import dump
-from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.evict import keep_near
+from persem_ros.core.memory.loading import load
 from persem_ros.core.memory.voxel_memory import stored_observations, VoxelMemory
 from persem_ros.core.refine.regions import regions
 from persem_ros.core.refine.whole import refine

@@ -3,8 +3,9 @@
 from core_worlds import examples, observations, tiny_pages
 from hypothesis import given, strategies as st
 import numpy as np
-from persem_ros.core.memory import frame_table
-from persem_ros.core.memory.frame_table import FrameTable, Session, Stamps
+from persem_ros.core.memory import frame_table, session as sessions
+from persem_ros.core.memory.frame_table import FrameTable
+from persem_ros.core.memory.session import Session, Stamps
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.errors import PersemError
 from persem_ros.outputs.map.explanation import history_table
@@ -51,7 +52,7 @@ def test_better_poses_leave_earlier_copies_alone():
 @examples(max_examples=50)
 def test_stamps_in_any_order_keep_the_t_that_they_came_with(stamps):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(frame_table, 'NEWEST', 8)
+        patch.setattr(sessions, 'NEWEST', 8)
         table, expected = FrameTable(), {}
         table.sessions[0] = Session('')
         known = Stamps(table)

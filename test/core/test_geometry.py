@@ -14,8 +14,8 @@ from persem_ros.core.geometry.kept import sound
 from persem_ros.core.geometry.labelling import label_rows
 from persem_ros.core.geometry.method import places_of, relabel
 from persem_ros.core.memory.capture import dump
-from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.evict import keep_near
+from persem_ros.core.memory.loading import load
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine.explain import explain, quickly
 from persem_ros.core.refine.job import finish

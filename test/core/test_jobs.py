@@ -11,8 +11,8 @@ from core_worlds import columns_of, core_of, examples, observations, refinements
 from hypothesis import given, strategies as st
 import numpy as np
 from persem_ros.core.memory.capture import Capture
-from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.evict import keep_near
+from persem_ros.core.memory.loading import load
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine.job import abandon, finish
 from persem_ros.core.refine.snapshot import take

@@ -20,7 +20,6 @@ before = jit.signatures()
 from dataclasses import replace
 from persem_ros.settings.config import METHODS, Memory, Refine
 from persem_ros.core.memory.capture import dump
-from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.evict import keep_near
 from persem_ros.core.frame.clear import clear
 from persem_ros.core.frame.images import points
@@ -36,6 +35,7 @@ from persem_ros.core.refine.regions import regions
 from persem_ros.core.frame.render import filled, render, voxel_image, voxel_image_of
 from persem_ros.core.frame.smoothing import EmaImages
 from persem_ros.core.frame.stride import thinned
+from persem_ros.core.memory.loading import load
 from persem_ros.frames import Frame, pinhole
 
 rng = np.random.default_rng(0)

@@ -8,9 +8,10 @@ import move_reference as ref
 import numpy as np
 from persem_ros.core.frame.moved import moved as moved_frame
 from persem_ros.core.memory.capture import dump
-from persem_ros.core.memory.dump import load
-from persem_ros.core.memory.frame_table import FrameTable, Session
+from persem_ros.core.memory.frame_table import FrameTable
+from persem_ros.core.memory.loading import load
 from persem_ros.core.memory.move import corrected, correction_of, moved
+from persem_ros.core.memory.session import Session
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.memory.voxel_order import ordered
 from persem_ros.core.trajectory import between, Trajectory

@@ -11,8 +11,8 @@ import numpy as np
 from persem_ros.core.geometry.ground import NONE
 from persem_ros.core.geometry.relief import Relief
 from persem_ros.core.memory.capture import dump
-from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.evict import keep_near
+from persem_ros.core.memory.loading import load
 from persem_ros.core.memory.pools import CLOCK
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine import sweep

@@ -10,7 +10,7 @@ from damage import damage_rows, damaged, damaged_picture, damaged_text
 from persem_ros import cli
 from persem_ros.convert import images
 from persem_ros.convert.trajectories import poses_from_trajectory
-from persem_ros.core.memory.dump import load
+from persem_ros.core.memory.loading import load
 from persem_ros.core.refine.whole import refine
 from persem_ros.errors import PersemError
 from persem_ros.guard.words import sentence

@@ -5,7 +5,7 @@ from dataclasses import replace
 import core_worlds as cw
 import numpy as np
 from persem_ros.core.memory.capture import dump
-from persem_ros.core.memory.dump import load
+from persem_ros.core.memory.loading import load
 from persem_ros.core.refine.job import finish
 from persem_ros.core.refine.turns import begin_next
 from persem_ros.core.refine.whole import refine

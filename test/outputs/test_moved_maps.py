@@ -6,8 +6,8 @@ import core_worlds as cw
 import numpy as np
 from persem_ros.cli import main
 from persem_ros.core.frame.sessions import fingerprint
-from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.evict import keep_near
+from persem_ros.core.memory.loading import load
 from persem_ros.core.refine.whole import refine
 from persem_ros.core.transforms import transform
 from persem_ros.errors import PersemError

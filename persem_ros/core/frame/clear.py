@@ -15,7 +15,7 @@ from typing import Any, TYPE_CHECKING
 import numpy as np
 from persem_ros.core.frame.view import View, warp_of
 from persem_ros.core.jit import inlined, kernel, split
-from persem_ros.core.memory.paging import block_numbers
+from persem_ros.core.memory.blocks import block_numbers
 from persem_ros.core.memory.pools import CLOCK, ROWS, SIDE
 from persem_ros.core.memory.records import mark
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.frame.observe import Observations
 from persem_ros.core.memory.dump import MemoryDump
-from persem_ros.core.memory.frame_table import Session
+from persem_ros.core.memory.session import Session
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.errors import PersemError
 

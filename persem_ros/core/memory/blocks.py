@@ -1,11 +1,16 @@
-"""Finding voxels: the hash over blocks, and a voxel's neighbours. Kernels only."""
+"""Finding voxels: the hash over blocks, and a voxel's neighbours."""
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.jit import inlined, kernel
 from persem_ros.core.memory.pools import BLOCKS, CELLS, FIRST_BLOCK, FREE_BLOCKS, SIDE
+
+if TYPE_CHECKING:
+    from persem_ros.core.memory.voxel_memory import VoxelMemory
 
 
 @inlined
@@ -103,6 +108,14 @@ def find_voxels(start, stop, blocks, table, voxels, out):
             out[p] = np.int64(blocks[seen].cells[((i & 7) * SIDE + (j & 7)) * SIDE + (k & 7)]) - 1
 
 
+@kernel
+def find_blocks(blocks, table, index, numbers):
+    """Write the number of each block, -1 for none."""
+    for p in range(len(index)):
+        numbers[p] = find_block(blocks, table, np.int64(index[p, 0]), np.int64(index[p, 1]),
+                                np.int64(index[p, 2]))
+
+
 @inlined
 def step(block, cell, d):
     """
@@ -135,6 +148,13 @@ def list_voxels(blocks, numbers, block_of, cell_of, voxel_of):
                 voxel_of[n] = v - 1
                 n += 1
     return n
+
+
+def block_numbers(memory: VoxelMemory, index: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Return the numbers of the blocks with the given indices (n, 3), -1 for those not here."""
+    numbers = np.empty(len(index), np.int64)
+    find_blocks(memory.m.blocks, memory.table, np.require(index, np.int32, 'C'), numbers)
+    return numbers
 
 
 def directions(neighbours: int) -> NDArray[np.int64]:

@@ -16,10 +16,11 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.memory.dump import (
-    evidence_of_voxels, habits_of, looks_through, MemoryDump, read_histories)
+from persem_ros.core.memory.dump import MemoryDump
 from persem_ros.core.memory.pools import ranges, sparse_zeros, taken
-from persem_ros.core.memory.voxel_memory import sort_order
+from persem_ros.core.memory.reading import (
+    evidence_of_voxels, habits_of, looks_through, read_histories)
+from persem_ros.core.memory.voxel_table import sort_order
 
 if TYPE_CHECKING:
     from persem_ros.core.memory.voxel_memory import VoxelMemory

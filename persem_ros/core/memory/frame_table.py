@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-import hashlib
-from typing import Any
-import uuid
+from dataclasses import dataclass
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.memory.frame_pages import Fetch, FramePages, PAGE
-from persem_ros.core.memory.pools import sparse_zeros
+from persem_ros.core.memory.pools import longer, sparse_zeros
+
+if TYPE_CHECKING:
+    from persem_ros.core.memory.session import Session
 
 FEW = 64            # rows of fresh tables
-NEWEST = 4096       # stamps of a session that are at hand, at least half of them
 ROOM = 1 << 18      # rows of the frame table for which there is address space, seven hours
 
 
@@ -45,24 +45,6 @@ class FrameRecord:
     stamp: int
     T_map_sensor: NDArray[np.float64]
     T_map_best: NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class Session:
-    """
-    One flight in the map.
-
-    Attributes
-    ----------
-    uuid : str
-        Made of what its first frame saw: the same flight has the same one wherever it is mapped.
-    mounts : dict of str to ndarray, shape (4, 4), float64
-        By sensor, T_body_sensor: from the sensor to what the pose topic places.
-
-    """
-
-    uuid: str
-    mounts: dict[str, NDArray[np.float64]] = field(default_factory=dict)
 
 
 class FrameTable:
@@ -185,7 +167,7 @@ class FrameTable:
         self._sensor[f] = self.sensors.index(sensor)
         self._placed[f] = T_map_sensor
         if T_map_best is not None and self._best is None:
-            self._best = _longer(self.placed, len(self._placed))
+            self._best = longer(self.placed, len(self._placed))
         if self._best is not None:
             self._best[f] = T_map_sensor if T_map_best is None else T_map_best
         self._n = f + 1
@@ -204,7 +186,7 @@ class FrameTable:
         self._sensor[f:end] = [code[name] for name in sensor]
         self._placed[f:end] = placed
         if best is not None and self._best is None:
-            self._best = _longer(self.placed, len(self._placed))
+            self._best = longer(self.placed, len(self._placed))
         if self._best is not None:
             self._best[f:end] = placed if best is None else best
         self._n = end
@@ -212,7 +194,7 @@ class FrameTable:
     def note_best(self, T_map_best: NDArray[np.float64]) -> None:
         """Enter what is known of the pose of the last frame; nobody has a copy with it yet."""
         if self._best is None:
-            self._best = _longer(self.placed, len(self._placed))
+            self._best = longer(self.placed, len(self._placed))
         self._best[self._n - 1] = T_map_best
 
     def copy(self) -> FrameTable:
@@ -256,100 +238,21 @@ class FrameTable:
     def _grow(self, rows: int) -> None:
         """Make room for *rows* frames, and for many more, in new arrays."""
         rows, pages = max(rows, ROOM), self._pages
-        self._t = _longer(self._t, rows, pages)
-        self._session = _longer(self._session, rows, pages)
-        self._sensor = _longer(self._sensor, rows, pages)
-        self._stamp = _longer(self._stamp, rows, pages)
-        self._placed = _longer(self._placed, rows, pages)
+        self._t = _with_room(self._t, rows, pages)
+        self._session = _with_room(self._session, rows, pages)
+        self._sensor = _with_room(self._sensor, rows, pages)
+        self._stamp = _with_room(self._stamp, rows, pages)
+        self._placed = _with_room(self._placed, rows, pages)
         if self._best is not None:
-            self._best = _longer(self._best, rows, pages)
+            self._best = _with_room(self._best, rows, pages)
         if pages is not None:
             self._pages = pages.apart()     # earlier copies keep the old columns
 
 
-class Stamps:
-    """
-    The distinct stamps of one session, each with its t; usually they come in order.
-
-    The newest are at hand; where an older one comes, all are read from the frame table again.
-
-    Parameters
-    ----------
-    frames : FrameTable, optional
-        That of the map; each stamp is entered there, too.
-    session : int
-        The number of the session.
-
-    """
-
-    def __init__(self, frames: FrameTable | None = None, session: int = 0) -> None:
-        self._stamp, self._t, self._n = np.empty(FEW, np.int64), np.empty(FEW, np.int32), 0
-        self._frames, self._session = frames, session
-        self._left: int | None = None       # the newest of those that are not at hand
-        self._limit = NEWEST
-        if frames is not None and session in frames.sessions:
-            self._recall()
-            self._let_go()
-
-    def find(self, stamp: int) -> int | None:
-        """Return t of a stamp, None for a new one."""
-        if self._left is not None and stamp <= self._left:
-            self._recall()
-            self._limit = 2 * self._n       # such a stamp seldom comes alone
-        at = self._place(stamp)
-        known = at < self._n and self._stamp[at] == stamp
-        return int(self._t[at]) if known else None
-
-    def add(self, stamp: int, t: int) -> None:
-        """Enter a new stamp."""
-        self._let_go()
-        n, at = self._n, self._place(stamp)
-        if n == len(self._t):
-            self._stamp, self._t = _longer(self._stamp, 2 * n), _longer(self._t, 2 * n)
-        for column, value in ((self._stamp, stamp), (self._t, t)):
-            column[at + 1:n + 1] = column[at:n]
-            column[at] = value
-        self._n = n + 1
-
-    def _place(self, stamp: int) -> int:
-        """Return the first place whose stamp is not below *stamp*."""
-        if self._n and self._stamp[self._n - 1] < stamp:
-            return self._n
-        return int(np.searchsorted(self._stamp[:self._n], stamp))
-
-    def _let_go(self) -> None:
-        """Keep the newest only, where there are many."""
-        if self._frames is None or self._n < self._limit:
-            return
-        kept, self._limit = NEWEST // 2, NEWEST
-        first = self._n - kept
-        self._left, self._n = int(self._stamp[first - 1]), kept
-        self._stamp, self._t = (_longer(column[first:first + kept], NEWEST)
-                                for column in (self._stamp, self._t))
-
-    def _recall(self) -> None:
-        """Read all stamps of the session."""
-        assert self._frames is not None
-        own = self._frames.session == self._session
-        self._stamp, first = np.unique(self._frames.stamp[own], return_index=True)
-        self._t, self._n = self._frames.t[own][first], len(first)
-        self._left = None
-
-
-def session_uuid(*content: object) -> str:
-    """Return a UUID that depends on *content* alone: arrays, bytes, texts and numbers."""
-    digest = hashlib.sha256()
-    for part in content:
-        data = part.tobytes() if isinstance(part, np.ndarray) else repr(part).encode()
-        digest.update(data)
-    return str(uuid.UUID(bytes=digest.digest()[:16], version=5))
-
-
-def _longer(column: NDArray[Any], rows: int, pages: FramePages | None = None) -> NDArray[Any]:
+def _with_room(column: NDArray[Any], rows: int, pages: FramePages | None) -> NDArray[Any]:
     """Return a copy of a column with room for *rows* rows; pages that are away stay so."""
-    fresh = sparse_zeros((max(rows, FEW), *column.shape[1:]), column.dtype)
-    if pages:
-        pages.copied(column, fresh)
-    else:
-        fresh[:len(column)] = column
+    if not pages:
+        return longer(column, rows)
+    fresh: NDArray[Any] = sparse_zeros((rows, *column.shape[1:]), column.dtype)
+    pages.copied(column, fresh)
     return fresh

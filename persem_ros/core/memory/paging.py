@@ -12,13 +12,13 @@ from typing import Any, Protocol, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from persem_ros.core.jit import kernel
-from persem_ros.core.memory.blocks import find_block
-from persem_ros.core.memory.capture import Capture
-from persem_ros.core.memory.dump import Blocks, enter, MemoryDump
+from persem_ros.core.memory.blocks import block_numbers
+from persem_ros.core.memory.checkpoint import Checkpoint
+from persem_ros.core.memory.dump import Blocks, MemoryDump
 from persem_ros.core.memory.evict import farthest, leave
 from persem_ros.core.memory.frame_pages import PAGE, pages_of
-from persem_ros.core.memory.pools import CLOCK, SIDE, sparse_zeros
+from persem_ros.core.memory.loading import enter
+from persem_ros.core.memory.pools import CLOCK, longer, SIDE, sparse_zeros
 
 if TYPE_CHECKING:
     from persem_ros.core.memory.voxel_memory import VoxelMemory
@@ -287,55 +287,3 @@ class Pager:
             self.turn += 1
             self._room()
             self._moved[blocks] = self.turn
-
-
-class Checkpoint:
-    """
-    What changed since the last one, on its way to the store.
-
-    The owner of the map calls capture.step() until it is True; any thread then calls write(), and
-    the owner end().
-
-    """
-
-    def __init__(self, pager: Pager) -> None:
-        self._pager = pager
-        self.capture = Capture(pager.memory, pager.moment)
-        self.written = False
-
-    def write(self) -> None:
-        """Write what was captured; whatever the store raises passes."""
-        changed = self.capture.dump()
-        self._pager.backing.write(changed)
-        self._stored = changed.block_index, pages_of(changed), len(changed.frames)
-        self.written = True
-
-    def end(self) -> bool:
-        """Note what the store holds now; return whether it was written."""
-        self.capture.close()
-        if self.written:
-            self._pager.moment = max(self._pager.moment, self.capture.moment)
-            self._pager.note_stored(*self._stored)
-        return self.written
-
-
-def longer(column: NDArray[Any], n: int) -> NDArray[Any]:
-    """Return a copy of a column with n places, the new ones zero."""
-    fresh: NDArray[Any] = sparse_zeros(n, column.dtype)
-    fresh[:len(column)] = column
-    return fresh
-
-
-def block_numbers(memory: VoxelMemory, index: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Return the numbers of the blocks with the given indices (n, 3), -1 for those not here."""
-    numbers = np.empty(len(index), np.int64)
-    _find_blocks(memory.m.blocks, memory.table, np.require(index, np.int32, 'C'), numbers)
-    return numbers
-
-
-@kernel
-def _find_blocks(blocks, table, index, numbers):
-    """Write the number of each block, -1 for none."""
-    for p in range(len(index)):
-        numbers[p] = find_block(blocks, table, np.int64(index[p, 0]), np.int64(index[p, 1]),
-                                np.int64(index[p, 2]))

@@ -167,6 +167,13 @@ def sparse_zeros(shape: Any, dtype: Any) -> Any:
     return np.frombuffer(space, dtype, n).reshape(shape)
 
 
+def longer(column: NDArray[Any], n: int) -> NDArray[Any]:
+    """Return a copy of a column with n rows, the new ones zero."""
+    fresh: NDArray[Any] = sparse_zeros((n, *column.shape[1:]), column.dtype)
+    fresh[:len(column)] = column
+    return fresh
+
+
 def _reserved(memory: int) -> dict[str, NDArray[Any]]:
     """
     Return zeroed pools by name over address space for a machine with so many bytes of memory.

@@ -10,11 +10,13 @@ from persem_ros.core.jit import kernel, split
 from persem_ros.core.memory.append import add_observations
 from persem_ros.core.memory.blocks import find_voxels, list_voxels, new_table
 from persem_ros.core.memory.evidence import read_evidence
-from persem_ros.core.memory.frame_table import FrameTable, Session, session_uuid, Stamps
+from persem_ros.core.memory.frame_table import FrameTable
 from persem_ros.core.memory.growth import Growth
 from persem_ros.core.memory.pools import (
     BLOCKS, CENTRE, CHUNK, CLOCK, FREE_BLOCKS, FREE_VOXELS, OBSERVATIONS, Store, STORED, VOXELS)
 from persem_ros.core.memory.records import release_links
+from persem_ros.core.memory.session import Session, Stamps, uuid_of
+from persem_ros.core.memory.voxel_table import copy_columns, ordered
 from persem_ros.errors import PersemError
 
 if TYPE_CHECKING:
@@ -335,87 +337,18 @@ class VoxelMemory:
             self._stamps.add(seen.stamp, t)
         sessions = self.frames.sessions
         if self.session not in sessions:
-            order = self._stripes(seen)
-            sessions[self.session] = Session(session_uuid(
-                seen.stamp, seen.sensor, seen.T_map_sensor, seen.voxels[order],
-                seen.labels[order], seen.confidences[order]))
+            sessions[self.session] = Session(uuid_of(seen, self.origin, self.voxel_size))
         mounts = sessions[self.session].mounts
         if seen.sensor not in mounts:
             mounts[seen.sensor] = np.eye(4) if seen.T_body_sensor is None else \
                 np.array(seen.T_body_sensor, np.float64)
         return self.frames.append(t, self.session, seen.sensor, seen.stamp, seen.T_map_sensor)
 
-    def _stripes(self, seen: Observations) -> NDArray[np.int64]:
-        """
-        Return the order of a frame's voxels by which its session gets its UUID.
-
-        Those of every second stripe, 16 voxels wide along y, before the others: so they were
-        once observed, and a session keeps its name in maps of any version.
-
-        """
-        base = np.floor((seen.T_map_sensor[1, 3] - self.origin[1]) / self.voxel_size)
-        stripes = (seen.voxels[:, 1].astype(np.int64) - np.int64(base)) >> 4 & 1
-        return np.argsort(stripes, kind='stable')
-
-
-def ordered(columns: dict[str, Any]) -> dict[str, Any]:
-    """Return columns of voxels sorted by voxel index."""
-    order = sort_order(columns['voxel'])
-    return {name: column[order] for name, column in columns.items()}
-
-
-@kernel
-def copy_columns(start, stop, blocks, voxels, spills, beliefs, block, cell, number, index, label,
-                 majority, confidence, observations, switches, source):
-    """
-    Copy each voxel's record to the columns.
-
-    Confidence is the posterior of its label where there is one, else p_v of it, 0 for none.
-
-    """
-    classes = np.empty(65536, np.uint16)
-    sums = np.empty(65536)
-    for p in range(start, stop):
-        corner = blocks[block[p]].index
-        index[p, 0] = corner[0] * 8 + (cell[p] >> 6)
-        index[p, 1] = corner[1] * 8 + (cell[p] >> 3 & 7)
-        index[p, 2] = corner[2] * 8 + (cell[p] & 7)
-        voxel = voxels[number[p]]
-        label[p] = voxel.label
-        majority[p] = voxel.majority
-        observations[p] = voxel.n
-        switches[p] = voxel.switches
-        source[p] = voxel.source
-        belief = beliefs[number[p]]
-        if belief.posterior > 0.0 and belief.label == voxel.label:
-            confidence[p] = belief.posterior
-            continue
-        n = read_evidence(voxel, spills, classes, sums, 0)
-        total, own = 0.0, 0.0
-        for k in range(n):
-            total += sums[k]
-            if classes[k] == voxel.label:
-                own = sums[k]
-        confidence[p] = own / total
-
 
 @kernel
 def evidence_of(voxels, spills, v, classes, sums):
     """Write one voxel's evidence to the front of two arrays; return how much."""
     return read_evidence(voxels[v], spills, classes, sums, 0)
-
-
-def sort_order(index: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Return the order that sorts voxel indices (n, 3) lexicographically."""
-    if not len(index):
-        return np.empty(0, np.int64)
-    low = index.min(axis=0).astype(np.int64)
-    span = index.max(axis=0).astype(np.int64) - low + 1
-    if float(span[0]) * float(span[1]) * float(span[2]) < 2.0 ** 62:
-        shifted = index - low       # one key sorts 4 times as fast as three
-        return np.argsort((shifted[:, 0] * span[1] + shifted[:, 1]) * span[2] + shifted[:, 2],
-                          kind='stable')
-    return np.lexsort((index[:, 2], index[:, 1], index[:, 0]))
 
 
 def stored_observations(memory: Any) -> Any:

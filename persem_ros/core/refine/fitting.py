@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.geometry.columns import Columns
 from persem_ros.core.geometry.looks import look, Looks
-from persem_ros.core.memory.dump import evidence_of_voxels
+from persem_ros.core.memory.reading import evidence_of_voxels
 from persem_ros.core.refine.gathered import beside_wanted, Gathered, Steps
 from persem_ros.core.refine.reach import surrounded
 

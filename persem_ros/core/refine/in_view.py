@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.memory.paging import block_numbers, longer
-from persem_ros.core.memory.pools import sparse_zeros
+from persem_ros.core.memory.blocks import block_numbers
+from persem_ros.core.memory.pools import longer, sparse_zeros
 from persem_ros.core.refine import snapshot
 from persem_ros.core.refine.labelled import labelled, number_of_ids
 from persem_ros.core.refine.regions import classify

@@ -23,7 +23,7 @@ from persem_ros.core.geometry.shape import RADIUS
 from persem_ros.core.geometry.spread import spread
 from persem_ros.core.geometry.upright import up_of, upright
 from persem_ros.core.jit import split
-from persem_ros.core.memory.paging import block_numbers
+from persem_ros.core.memory.blocks import block_numbers
 from persem_ros.core.memory.pools import ROWS, SIDE, sparse_zeros
 from persem_ros.core.refine import snapshot
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.jit import kernel
 from persem_ros.core.memory.blocks import find_block
-from persem_ros.core.memory.voxel_memory import sort_order
+from persem_ros.core.memory.voxel_table import sort_order
 
 AT_ONCE = 4096      # blocks that the mapping thread may sort itself
 

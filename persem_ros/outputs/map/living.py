@@ -20,7 +20,8 @@ from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.memory.dump import Blocks, MemoryDump, take_over
+from persem_ros.core.memory.dump import Blocks, MemoryDump
+from persem_ros.core.memory.loading import take_over
 from persem_ros.core.memory.pools import OBSERVATIONS
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.errors import PersemError

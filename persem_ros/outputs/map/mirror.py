@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from persem_ros.core.memory.changes import Changed
 from persem_ros.core.memory.pools import ranges, SIDE, sparse_zeros
-from persem_ros.core.memory.voxel_memory import sort_order
+from persem_ros.core.memory.voxel_table import sort_order
 from persem_ros.outputs.map.cloud import map_points, POINT
 from persem_ros.settings.config import Map
 from persem_ros.settings.legend import Legend

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.memory.capture import Parts
 from persem_ros.core.memory.dump import Blocks, MemoryDump
-from persem_ros.core.memory.frame_table import FrameTable, Session
+from persem_ros.core.memory.frame_table import FrameTable
 from persem_ros.core.memory.pools import CELLS
+from persem_ros.core.memory.session import Session
 from persem_ros.frames import MAX_ID
 from persem_ros.outputs.map import schema1
 from persem_ros.outputs.map.checks import check_about, check_dump, check_head

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.memory.frame_table import FrameTable, Session, session_uuid
+from persem_ros.core.memory.frame_table import FrameTable
 from persem_ros.core.memory.pools import CENTRE
+from persem_ros.core.memory.session import Session, session_uuid
 
 # Of the table blocks; histories had t where they have the frame now.
 COLUMNS = (

@@ -9,7 +9,8 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.memory.dump import load as load_memory, MemoryDump
+from persem_ros.core.memory.dump import MemoryDump
+from persem_ros.core.memory.loading import load as load_memory
 from persem_ros.errors import PersemError
 from persem_ros.settings import config_file
 from persem_ros.settings.legend import Legend

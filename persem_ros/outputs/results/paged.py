@@ -19,7 +19,7 @@ from persem_ros.core.memory.capture import Capture
 from persem_ros.core.memory.dump import MemoryDump
 from persem_ros.core.memory.frame_table import FrameTable
 from persem_ros.core.memory.paging import Pager
-from persem_ros.core.memory.voxel_memory import ordered, sort_order
+from persem_ros.core.memory.voxel_table import ordered, sort_order
 from persem_ros.errors import PersemError
 from persem_ros.guard.database import checked, held_by
 from persem_ros.outputs.export.choice import Choice
