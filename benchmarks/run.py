@@ -220,7 +220,13 @@ def scaling(big):
 
 
 def away(big):
-    """Do all that happens beside frames in maps of 10^5, 10^6 and 10^7 voxels."""
+    """
+    Do all that happens beside frames in maps of 10^5, 10^6 and 10^7 voxels.
+
+    Long calls are the likeliest to be interrupted, and so to be left out: where more than a tenth
+    of all were, nothing is said of the worst.
+
+    """
     found = [flat.flight(CONFIG, size, big.last, time.perf_counter) for size in flat.SIZES]
     frames = [median_ms(one.seconds['frame']) for one in found]
     worst, p99 = ([measure(one) for one in found] for measure in (flat.Away.worst, flat.Away.p99))
@@ -233,7 +239,7 @@ def away(big):
                 None),
             row(f'away from frames there: at worst ({disturbed} of {of} calls left out, which the '
                 'hypervisor interrupted)', ', '.join(f'{m:.1f}' for m in worst) + ' ms',
-                '<= 30 ms', max(worst) <= 30)]
+                '<= 30 ms', max(worst) <= 30 if 10 * disturbed <= of else None)]
 
 
 def grids(big):

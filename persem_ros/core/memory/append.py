@@ -34,8 +34,8 @@ def add_observations(
     The hash table has room for as many new blocks as there are observations. Most find all that
     they need where it is: these are written at once, in parts side by side, while their records
     are in the cache. What is common to all (new voxels, places in the pools, counters of classes)
-    is done afterwards, and the rest is written. The same bytes by any number of threads. By two
-    threads 1.2 ms instead of 2.7 for 42 000 observations.
+    is done afterwards, and the rest is written. The same bytes by any number of threads. 42 000
+    observations take two threads 1.2 ms.
 
     Parameters
     ----------
