@@ -9,8 +9,8 @@ import numpy as np
 from persem_ros.core import jit
 from persem_ros.core.memory import append
 from persem_ros.core.memory.capture import dump
-from persem_ros.core.memory.dump import load
 from persem_ros.core.memory.evict import keep_near
+from persem_ros.core.memory.loading import load
 from persem_ros.core.memory.pools import (
     BLOCKS, CHUNK, FREE, LINKS, RETIRED, SPILLS, STORED, VOXELS)
 from persem_ros.core.memory.voxel_memory import VoxelMemory
