@@ -221,11 +221,11 @@ class LiveIntake(Intake):
             stamp = messages.header(data)[0] + self.offset
             latest, _ = self._heard.get(id(taker), (stamp, 0))
             self._heard[id(taker)] = max(stamp, latest), now
-            self._partners[taker].labels(stamp)
+            self._partners[taker].labels(stamp, now)
         elif role == DEPTH:
             assert isinstance(taker, Station)
             stamp, frame_id = messages.header(data)
-            self._partners[taker].depth(stamp, now)
+            self._partners[taker].depth(stamp, now, self.config.sync.tolerance)
             came = self._clock() - (self._steady() - now)
             self._clocks[taker.assembler].image(stamp, taker.poses.newest(frame_id), came, now)
         super().take(role, taker, kind, now, data)
@@ -262,6 +262,7 @@ class LiveIntake(Intake):
         """Write to `examples` why a label image was dropped, where that takes a look around."""
         partners, sync = self._partners[station], self.config.sync
         if reason == NO_DEPTH:
+            partners.give_up(match.stamp, match.arrival, sync.tolerance)
             self.examples[reason] = partners.explain(match.stamp, match.arrival, sync)
         elif reason == QUEUE_FULL:
             self.examples[reason] = full_sentence(sync)

@@ -140,9 +140,9 @@ def partners(depth, labels):
     """Return a memory of partners and its last label image; all in ms: (stamp, arrival)."""
     seen = Partners(KEEP)
     for stamp, arrival in depth:
-        seen.depth(stamp * S // 1000, arrival * S // 1000)
-    for stamp, _ in labels:
-        seen.labels(stamp * S // 1000)
+        seen.depth(stamp * S // 1000, arrival * S // 1000, 0.02)
+    for stamp, arrival in labels:
+        seen.labels(stamp * S // 1000, arrival * S // 1000)
     return seen, *(value * S // 1000 for value in labels[-1])
 
 
@@ -154,7 +154,10 @@ def partners(depth, labels):
     ([(0, 0), (100, 100)], [(140, 150)], 'sync.offset_labels=-0.040'),
     ([(0, 0), (100, 100)], [(140, 150)], 'sync.tolerance=0.048'),
     ([(0, 0), (100, 100), (300, 300), (400, 400)], [(200, 200)],
-     'never came: the nearest is 100 ms away, they come every 100 ms')])
+     'never came: the nearest is 100 ms away, they come every 100 ms'),
+    ([(0, 0), (100, 100)], [(500, 500)], 'has not come: the nearest is 400 ms away'),   # it ended
+    ([(0, 1500), (100, 1600)], [(700, 700)], 'depth seems to come 1.5 s later'),
+    ([(0, 1500), (100, 1600)], [(700, 700)], '--set sync.max_wait=3 ')])
 def test_why_there_is_no_depth_image(depth, labels, words):
     seen, stamp, arrival = partners(depth, labels)
     assert words in seen.explain(stamp, arrival, Sync())
@@ -163,8 +166,9 @@ def test_why_there_is_no_depth_image(depth, labels, words):
 @pytest.mark.parametrize('depth, labels, lost', [
     (range(0, 3000, 100), range(40, 3040, 100), None),      # stamped later, nothing is lost
     (range(0, 3000, 33), range(0, 3000, 330), None),        # more depth than labels
-    (range(0, 3000, 200), range(0, 3000, 100), (15, 30)),
-    ([], range(0, 3000, 100), (0, 30))])
+    (range(0, 3000, 200), range(0, 3000, 100), (15, 29)),   # what is newer may still come
+    (range(0, 1500, 100), range(0, 3000, 100), None),       # so may all of these
+    ([], range(0, 3000, 100), None), ([], range(0, 8000, 100), (0, 30))])
 def test_whether_depth_was_lost(depth, labels, lost):
     assert partners([(t, t) for t in depth], [(t, t) for t in labels])[0].lost() == lost
 
@@ -187,6 +191,28 @@ def test_labels_that_come_late_name_the_setting_that_lets_depth_wait():
         if i >= 25:
             live.labels(live.now - 2.5)
     assert len(live.frames) > 90 and not live.dropped[NO_DEPTH]
+
+
+@pytest.mark.parametrize('every, late, lost', [(1, 104, None), (2, 52, (52, 104))])
+def test_depth_that_comes_late_is_not_lost_and_names_the_wait_that_helps(every, late, lost):
+    """Of every second depth image both is true: half are late, half never come."""
+    def live(**settings):
+        live = Live(**settings)
+        for i in range(120):
+            live.now = i / 10
+            live.labels(live.now)
+            if i >= 15:
+                live.pose(live.now - 1.5)
+            if i >= 15 and i % every == 0:
+                live.depth(live.now - 1.5)
+        return live
+    short = live()
+    assert not short.frames and short.dropped[NO_DEPTH] > 100
+    sentence = short.intake.examples[NO_DEPTH]
+    assert f'up to 1.5 s later than its label image ({late} depth' in sentence, sentence
+    assert '--set sync.max_wait=3 ' in sentence and 'never came' not in sentence
+    assert short.intake.few_depths() == lost
+    assert len(live(**{'sync.max_wait': 3.0}).frames) > 0.8 * late
 
 
 def test_the_bound_of_bytes_is_that_of_waiting_depth_too():

@@ -23,6 +23,21 @@ def test_with_the_setting_that_it_names_late_labels_are_mapped(ros):
     assert mapper.values()['dropped'] == '0', mapper.output
 
 
+def test_depth_that_comes_after_its_labels_is_late_and_not_lost(ros):
+    mapper = ros.mapper(LIVE).ready()
+    camera = Camera(ros.client)
+    camera.fly(60, delay=-1.5, until=lambda: 'came after their labels were given up'
+               in mapper.output)
+    mapper.says('s later than its label image')
+    mapper.says('-p sync.max_wait:=3 lets them wait')
+    assert 'lost' not in mapper.output and 'rmem_max' not in mapper.output
+    mapper.stop()
+    mapper = ros.mapper({**LIVE, 'sync.max_wait': 3.0}).ready()
+    until(lambda: ros.client.node.count_subscribers('/depth/image') == 1, 'nobody listens')
+    camera.fly(60, delay=-1.5, until=lambda: int(mapper.values().get('frames', 0)) >= 10)
+    assert mapper.values()['dropped'] == '0', mapper.output
+
+
 def test_labels_stamped_when_the_network_was_done_name_the_distance(ros):
     mapper = ros.mapper(LIVE).ready()
     Camera(ros.client, labels_offset=0.04).fly(
