@@ -1,14 +1,21 @@
 """One warning when no complete set of messages comes: which topic, and why."""
 
+from __future__ import annotations
+
 import logging
 import time
+from typing import TYPE_CHECKING
 
-from persem_ros.ros.counters import Statistics
-from persem_ros.ros.inputs import Inputs
-from persem_ros.ros.topic import Input
+from persem_ros.inputs.sync.match import LABELS
+
+if TYPE_CHECKING:
+    from persem_ros.ros.counters import Statistics
+    from persem_ros.ros.inputs import Inputs
+    from persem_ros.ros.topic import Input
 
 log = logging.getLogger(__name__)
 PATIENCE = 5.0      # s
+SILENCE = 2.0       # s that poses are away for at the end, which may run on after the last image
 MISSING = 'no complete frame'
 
 
@@ -56,7 +63,7 @@ class Watchdog:
         if self.state == 'nothing comes any more':
             log.warning('nothing comes any more: %d frames were mapped, for %.0f s no topic has '
                         'brought anything (has the recording ended?)', self._statistics.frames,
-                        PATIENCE)
+                        self._silence())
         elif self.state:
             self._told = self._obstacles()
             log.warning('no complete set of messages for %.0f s: %s', PATIENCE, self.describe())
@@ -92,7 +99,20 @@ class Watchdog:
         return found != self._told and now - self._found[1] >= PATIENCE
 
     def _ended(self) -> bool:
-        """Whether frames had come and no topic brings anything any more."""
+        """
+        Whether frames had come and no topic brings anything any more.
+
+        Where every label image that came is mapped nothing is missing: then a shorter silence of
+        the other topics will do.
+
+        """
+        mapped = self._statistics.last_frame
+        waiting = [one for one in self._inputs.needed if one.role == LABELS
+                   and one.came is not None and mapped is not None and one.came > mapped]
+        return self._statistics.frames > 0 \
+            and self._silence() >= (PATIENCE if waiting else SILENCE)
+
+    def _silence(self) -> float:
+        """Return the seconds since any topic has brought anything, 0 where none has yet."""
         came = [one.came for one in self._inputs.needed if one.came is not None]
-        return self._statistics.frames > 0 and bool(came) \
-            and time.monotonic() - max(came) >= PATIENCE
+        return time.monotonic() - max(came) if came else 0.0
