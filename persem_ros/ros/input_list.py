@@ -69,7 +69,7 @@ class InputList:
         for role, topic in ((TF, self._tf), (TF_STATIC, f'{self._tf}_static')):
             if not any(one.role == role for one in self.all):
                 self._add(role, topic, list(self.buffers.values()), [TFMessage],
-                          config.qos.pose if role == TF else 'latched', 1000)
+                          config.qos.pose if role == TF else 'auto', 1000)
         self._add_legend(config)
         if config.topics.trajectory:
             self._add(TRAJECTORY, config.topics.trajectory, [None], [Path], 'auto', 1)

@@ -9,7 +9,7 @@ from persem_ros.inputs.sync.match import COLOR, DEPTH, LABELS
 from persem_ros.inputs.sync.poses import PoseBuffer
 from persem_ros.ros.input_list import InputList
 from persem_ros.ros.messages import INSTALL
-from persem_ros.ros.subscriber import misfit, Subscriber
+from persem_ros.ros.subscriber import misfit, Subscriber, volatile
 from persem_ros.ros.topic import Input, TF_STATIC, type_name
 
 if TYPE_CHECKING:
@@ -46,6 +46,7 @@ class Inputs:
         listed = InputList(node, config, intake)
         self.all, self.stations = listed.all, listed.stations       # stations: by camera
         self._buffers = listed.buffers
+        self._unheard = '', 0       # see _look_for_unheard: nodes, messages when they were seen
         self.resolve()
 
     @property
@@ -79,13 +80,15 @@ class Inputs:
             if number is None or not self.publishers(one):
                 number = next((n for n in range(len(one.choices))
                                if self._subscriber.published(*one.choices[n])), one.chosen)
-            if number is None and one.setting != 'auto' and (
-                    len(one.choices) == 1 or one.role in (LABELS, DEPTH)):
+            if number is None and (one.role == TF_STATIC or one.setting != 'auto' and (
+                    len(one.choices) == 1 or one.role in (LABELS, DEPTH))):
                 number = 0
             if number is not None:
                 self._subscriber.subscribe(one, number)
             if one.role in (INFO, LABELS_INFO, LEGEND, TRAJECTORY):
                 self._subscriber.listen_to_the_past(one)
+            elif one.role == TF_STATIC:
+                self._look_for_unheard(one)
 
     def want_color(self, wanted: bool) -> None:
         """Subscribe to colour images, or no longer: only the overlay needs them."""
@@ -93,6 +96,17 @@ class Inputs:
         for one in self.all:
             if one.role == COLOR and not wanted:
                 self._subscriber.unsubscribe(one)
+
+    def _look_for_unheard(self, one: Input) -> None:
+        """Tell pose buffers who publishes /tf_static once for all and was not heard."""
+        silent = one.subscriptions and not one.fresh and volatile(self.publishers(one))
+        if silent:
+            self._unheard = ', '.join(silent), one.count
+        elif one.fresh or one.count > self._unheard[1]:     # else they left without a word
+            self._unheard = '', 0
+        for taker in one.takers:
+            if isinstance(taker, PoseBuffer):
+                taker.unheard = self._unheard[0]
 
     def publishers(self, one: Input) -> list[TopicEndpointInfo]:
         """Return the endpoints that publish what an input listens to."""

@@ -7,7 +7,7 @@ import time
 from typing import Any, TYPE_CHECKING
 
 from persem_ros.ros.inbox import Item
-from persem_ros.ros.topic import Input, MessageClass, type_name
+from persem_ros.ros.topic import Input, MessageClass, TF_STATIC, type_name
 from rclpy.event_handler import SubscriptionEventCallbacks, UnsupportedEventTypeError
 from rclpy.qos import (
     DurabilityPolicy, qos_check_compatible, QoSCompatibility, QoSProfile, ReliabilityPolicy)
@@ -45,13 +45,21 @@ class Subscriber:
         return [] if one.chosen is None else self.published(*one.choices[one.chosen])
 
     def subscribe(self, one: Input, number: int) -> None:
-        """Listen to an input's choice *number*, in the way that fits its publishers."""
+        """
+        Listen to an input's choice *number*, in the way that fits its publishers.
+
+        /tf_static is published latched by those who know it and volatile by a player of a
+        recording without QoS, once for all: both are listened to from the start.
+
+        """
         reliability = self._reliability(one, number)
         if one.subscriptions and (number, reliability) == (one.chosen, one.reliability):
             return
         self.unsubscribe(one)
         one.chosen, one.reliability = number, reliability
         one.subscriptions = [self._subscription(one, reliability)]
+        if one.role == TF_STATIC:
+            one.subscriptions.append(self._subscription(one, 'latched'))
 
     def _reliability(self, one: Input, number: int) -> str:
         """Return how to subscribe to an input's choice *number*, as rosbag2 decides."""
@@ -59,7 +67,7 @@ class Subscriber:
             return one.setting
         ends = self.published(*one.choices[number])
         if not ends:        # they went away; the next may be like them
-            return one.reliability or 'best_effort'
+            return one.reliability or ('reliable' if one.role == TF_STATIC else 'best_effort')
         reliable = all(end.qos_profile.reliability == ReliabilityPolicy.RELIABLE for end in ends)
         return 'reliable' if reliable else 'best_effort'
 
@@ -73,7 +81,8 @@ class Subscriber:
         """
         assert one.chosen is not None       # subscribe() sets it before
         topic, cls = one.choices[one.chosen]
-        received = partial(self._received, one, type_name(cls))
+        latched = reliability == 'latched'
+        received = partial(self._received, one, type_name(cls), latched)
         profile = _profile(reliability, one.depth)
         create = partial(self._node.create_subscription, cls, topic, received, profile, raw=True)
         if one.is_image:
@@ -82,6 +91,9 @@ class Subscriber:
                     message_lost=partial(_lost, one)))
             except UnsupportedEventTypeError:
                 pass
+        if one.role == TF_STATIC or latched and one.setting != 'latched':
+            # Whom it does not match the subscription beside it hears: rclpy need not warn.
+            return create(event_callbacks=SubscriptionEventCallbacks(incompatible_qos=_heard))
         return create()
 
     def listen_to_the_past(self, one: Input) -> None:
@@ -103,8 +115,8 @@ class Subscriber:
             self._node.destroy_subscription(subscription)
         one.subscriptions, one.chosen, one.reliability = [], None, ''
 
-    def _received(self, one: Input, kind: str, data: bytes) -> None:
-        one.note(data)
+    def _received(self, one: Input, kind: str, latched: bool, data: bytes) -> None:
+        one.note(data, latched)
         self._inbox.put(Item(time.monotonic_ns(), one, kind, data))
 
 
@@ -115,6 +127,16 @@ def misfit(one: Input, publishers: list[TopicEndpointInfo]) -> str:
     if all(verdict == QoSCompatibility.ERROR for verdict, _ in reasons):
         return f'QoS does not fit ({reasons[0][1].strip("; ")}); see qos.{one.role}'
     return ''
+
+
+def volatile(ends: list[TopicEndpointInfo]) -> list[str]:
+    """Return the nodes of those publishers that keep nothing for who listens later."""
+    return sorted({end.node_name for end in ends
+                   if end.qos_profile.durability == DurabilityPolicy.VOLATILE})
+
+
+def _heard(event: Any) -> None:
+    """Do nothing about publishers that a subscription does not match but another does."""
 
 
 def _lost(one: Input, event: Any) -> None:

@@ -47,6 +47,8 @@ class Input:
         'best_effort', 'reliable' or 'latched': what was subscribed with, '' for nothing.
     count : int
         Messages that came.
+    fresh : int
+        Those among them that came by a subscription that hears nothing of the past.
     came : float or None
         When the last one came, time.monotonic().
     lost : int
@@ -63,7 +65,7 @@ class Input:
         self.chosen: int | None = None
         self.reliability = ''
         self.subscriptions: list[Subscription] = []
-        self.count = self.lost = 0
+        self.count = self.fresh = self.lost = 0
         self.came: float | None = None
         self._last = b''
 
@@ -90,9 +92,10 @@ class Input:
         except BadMessage:
             return None
 
-    def note(self, data: bytes) -> None:
-        """Count a message."""
+    def note(self, data: bytes, latched: bool = False) -> None:
+        """Count a message; *latched*: it came by a subscription that hears the past, too."""
         self.count += 1
+        self.fresh += not latched
         self.came = time.monotonic()
         self._last = data[:512]     # an image is not kept alive for its stamp
 

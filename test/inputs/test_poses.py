@@ -4,8 +4,9 @@ from hypothesis import given, strategies as st
 import numpy as np
 from persem_ros.core.transforms import inverse, matrix_to_quaternion, slerp, transform
 from persem_ros.errors import PersemError
+from persem_ros.inputs.sync.mount import fixed
 from persem_ros.inputs.sync.no_pose import explain, mount_sentence
-from persem_ros.inputs.sync.poses import NO_MOUNT, PoseBuffer
+from persem_ros.inputs.sync.poses import NO_MOUNT, PoseBuffer, UNSAID
 from persem_ros.inputs.sync.track import Lookup, NO_POSE, POSE_GAP
 from persem_ros.settings.config import Config, updated
 import pytest
@@ -153,6 +154,31 @@ def test_an_extrinsic_without_a_child_frame_is_not_used_and_that_is_said():
 def test_an_extrinsic_that_is_no_rotation_is_refused():
     with pytest.raises(PersemError, match='pose.extrinsic'):
         PoseBuffer(updated(Config(), {'pose.extrinsic': [1.0, 0, 0, 0, 0, 0, 0.5]}))
+
+
+def test_a_camera_whose_mount_was_published_and_not_heard_is_not_mapped_without_it():
+    buffer = filled()
+    assert buffer.lookup(at(0.1), 'camera').T is not None       # it is mounted on nothing
+    buffer.unheard = 'rosbag2_player'
+    assert buffer.lookup(at(0.1), 'camera') == Lookup(None, False, NO_MOUNT)
+    assert not fixed(buffer, 'camera')
+    sentence = mount_sentence(buffer, 'camera')
+    for part in ('rosbag2_player publishes /tf_static volatile', '--delay 3', 'transient_local',
+                 '--qos-profile-overrides-path', '--set pose.child_frame=camera'):
+        assert part in sentence
+    buffer.add_static(MOUNT, 'base_link', 'camera')
+    assert buffer.lookup(at(0.1), 'camera') == Lookup(None, False, UNSAID)
+    buffer = filled({'pose.child_frame': 'camera'})
+    buffer.unheard = 'rosbag2_player'
+    assert buffer.lookup(at(0.1), 'camera').T is not None       # the settings say so
+
+
+def test_a_chain_that_lacks_what_was_not_heard_says_so():
+    buffer = filled({'pose.source': 'tf'}, stamps=())
+    buffer.add_tf(at(0.0), turn(0), 'map', 'base_link')
+    assert 'volatile' not in explain(buffer, at(0.0), 'camera')
+    buffer.unheard = 'rosbag2_player'
+    assert 'rosbag2_player publishes /tf_static volatile' in explain(buffer, at(0.0), 'camera')
 
 
 def test_an_unknown_mounting_is_said_with_the_flags_that_help():

@@ -42,9 +42,15 @@ def unsaid(poses: PoseBuffer, frame: str) -> bool:
     return not poses.child and poses.extrinsic is None and bool(bodies(poses, frame))
 
 
+def unheard(poses: PoseBuffer, frame: str) -> bool:
+    """Return whether *frame* seems to be mounted on nothing only as its mount was not heard."""
+    return bool(poses.unheard) and not poses.child and poses.extrinsic is None \
+        and len(poses.tree.path(frame)) == 1
+
+
 def fixed(poses: PoseBuffer, frame: str) -> bool:
     """Return whether settings and static transforms lead from the poses to *frame*."""
-    return not unsaid(poses, frame) and (
+    return not unsaid(poses, frame) and not unheard(poses, frame) and (
         poses.child in ('', frame) or poses.extrinsic is not None
         or poses.tree.connected(poses.child, frame, moving=False))
 

@@ -6,13 +6,14 @@ from bisect import bisect_left
 from typing import TYPE_CHECKING
 
 import numpy as np
-from persem_ros.inputs.sync.mount import bodies, unsaid
+from persem_ros.inputs.sync.mount import bodies, unheard, unsaid
 from persem_ros.inputs.sync.track import seconds
 
 if TYPE_CHECKING:
     from persem_ros.inputs.sync.poses import PoseBuffer
     from persem_ros.inputs.sync.track import Track
 
+LATCHED = '{history: keep_last, depth: 10, reliability: reliable, durability: transient_local}'
 CLOCKS = 0.5            # s between a frame and the poses that clocks may be to blame for
 
 
@@ -28,6 +29,10 @@ def mount_sentence(poses: PoseBuffer, frame: str, setting: str = 'camera.frame')
         return (f'the poses do not say what they place, the camera {frame!r} or {body!r}, on '
                 f'which it is mounted: --set pose.child_frame={body} if they place '
                 f'the body, --set pose.child_frame={frame} if the camera')
+    if unheard(poses, frame):
+        return (f'the poses do not say what they place, the camera {frame!r} or what carries it'
+                f'{_unheard(poses)}; --set pose.child_frame={frame or "NAME"} if the poses place '
+                'the camera itself')
     if not frame:
         leaves = sorted(poses.tree.static.keys() - {up for up, _ in poses.tree.static.values()})
         flags = ' or '.join(f'--set {setting}={name}' for name in leaves)
@@ -37,7 +42,7 @@ def mount_sentence(poses: PoseBuffer, frame: str, setting: str = 'camera.frame')
     return (f'the poses place the frame {poses.child!r}, the images are in {frame!r}, and '
             f'/tf_static ({_static_edges(poses)}) does not connect them; give the mounting '
             'with --set pose.extrinsic=[x,y,z,qx,qy,qz,qw], or --set '
-            f'pose.child_frame={frame} if the poses place the camera itself')
+            f'pose.child_frame={frame} if the poses place the camera itself{_unheard(poses)}')
 
 
 def other_frame_sentence(poses: PoseBuffer) -> str:
@@ -66,7 +71,17 @@ def explain(poses: PoseBuffer, stamp: int, frame: str) -> str:
                 f'; --set frames.map={target} maps in the frame of the poses'
             return _explain_link(poses, stamp, track, child) + other
     return (f'at {seconds(stamp)} /tf gives no chain from {poses.map_frame!r} to {target!r}: '
-            f'{poses.tree.edges()}')
+            f'{poses.tree.edges()}{_unheard(poses)}')
+
+
+def _unheard(poses: PoseBuffer) -> str:
+    """Return who publishes /tf_static and was not heard, and what to type; '' for nobody."""
+    if not poses.unheard:
+        return ''
+    return (f'; {poses.unheard} publishes /tf_static volatile, which reaches only who listens '
+            'already, and nothing of it has come: start that after the node (ros2 bag play '
+            f"--delay 3), or latched: echo '/tf_static: {LATCHED}' > latched.yaml and ros2 bag "
+            'play --qos-profile-overrides-path latched.yaml')
 
 
 def _explain_topic(poses: PoseBuffer, stamp: int) -> str:

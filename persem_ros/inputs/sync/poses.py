@@ -7,7 +7,7 @@ import copy
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.trajectory import Correction
-from persem_ros.inputs.sync.mount import extrinsic_of, unsaid
+from persem_ros.inputs.sync.mount import extrinsic_of, unheard, unsaid
 from persem_ros.inputs.sync.track import Lookup, NO_POSE, Track
 from persem_ros.inputs.sync.tree import Tree
 from persem_ros.settings.config import Config, Pose
@@ -44,6 +44,8 @@ class PoseBuffer:
         The setting pose.extrinsic, None where it is all 0.
     heard : (int, int) or None
         Smallest and largest stamp of a pose, ns.
+    unheard : str
+        Who publishes /tf_static once for all and was not heard (a node), '' for nobody.
     correction : persem_ros.core.trajectory.Correction or None
         What a corrected trajectory says of the poses (a replay).
 
@@ -54,6 +56,7 @@ class PoseBuffer:
         self.notes: dict[str, str] = {}
         self._strict, self._astray = strict, True
         self.correction: Correction | None = None
+        self.unheard = ''
         self.map_frame = config.frames.map
         self._keep = round(keep * 1e9)
         self.tree = Tree(self._keep)
@@ -244,7 +247,7 @@ class PoseBuffer:
         if key not in self._mounts:
             self._mounts[key] = self._mounted(*key)
         mount = self._mounts[key]
-        if mount is not None:
+        if mount is not None and not unheard(self, frame):
             return Lookup(mount)
         if unsaid(self, frame):
             return Lookup(None, False, UNSAID)
