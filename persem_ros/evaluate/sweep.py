@@ -33,6 +33,12 @@ if TYPE_CHECKING:
 METHODS = ('raw2d', 'ema2d', 'majority', 'persem', 'geometry')
 DISTURB = 'disturb.'
 MOST = 2000         # points; more is a mistake in the command line
+# Settings of a node, of maps as files, of what is drawn: no number of an evaluation has them.
+IDLE = ('refine.period', 'refine.sweep', 'sync.queue', 'sync.queue_bytes', 'pose.max_ahead',
+        'topics.color')
+IDLE_ROOMS = ('map', 'grid', 'qos', 'render')
+BUT = ('map.origin',)
+OF_METHODS = {'refine.geometry.': 'geometry', 'ema.': 'ema2d'}  # what they alone look at
 
 Value = Union[float, str, tuple[int, ...]]      # of a setting or a disturbance; float: int, bool
 
@@ -62,11 +68,31 @@ def parse_vary(
             raise PersemError(f'--vary: unknown setting {name!r}{nearest(name, known)}; '
                               "'persem config' lists all settings, besides them there is "
                               f'{", ".join(n for n in known if n.startswith(DISTURB))}')
+        _refuse_idle(name, text)
         axes[name] = list(dict.fromkeys(_checked(name, word, config) for word in _split(text)))
     count = (sum if each else math.prod)(map(len, axes.values()))
     if not axes or count > MOST:
         raise PersemError(f'--vary: expected 1 to {MOST} points, got {count if axes else 0}')
     return axes
+
+
+def _refuse_idle(name: str, text: str) -> None:
+    """Refuse a setting that changes no number of an evaluation: all rows would be alike."""
+    if name == 'refine.method':
+        raise PersemError(f'--vary {name}: an evaluation measures several methods at once; use '
+                          f'--methods {",".join(_split(text))}')
+    if name in IDLE or name.partition('.')[0] in IDLE_ROOMS and name not in BUT:
+        raise PersemError(f'--vary {name}: no measure depends on it, all rows would be alike; '
+                          'leave it out')
+
+
+def _refuse_without_method(axes: dict[str, list[Value]], methods: Sequence[str]) -> None:
+    """Refuse a setting of one method where that is not measured."""
+    for name in axes:
+        for start, method in OF_METHODS.items():
+            if name.startswith(start) and method not in methods:
+                raise PersemError(f'--vary {name}: only {method} depends on it, all rows would be '
+                                  f'alike; use --methods {",".join([*methods, method])}')
 
 
 def _split(text: str) -> list[str]:
@@ -116,6 +142,7 @@ def sweep(recordings: list[Path | str], out: Path | str, config: Config,
     if figures:
         sweep_page.check()
     methods = run.chosen_methods(methods)
+    _refuse_without_method(axes, methods)
     paths = run.named(recordings)
     base = {name: Task(str(path), config, methods, str(labels), grouped, dynamic,
                        run.predictions_of(predictions, name, len(paths)), pictures=False,

@@ -79,6 +79,9 @@ def test_order_of_integration_is_an_axis(tmp_path, recording):
     (['refine.eta'], 'expected NAME=A,B,C'),
     (['refine.eta='], 'expected NAME=A,B,C'),
     (['refine.eta=0', 'refine.eta=1'], 'given twice'),
+    (['refine.method=persem,geometry'], 'several methods at once; use --methods persem,geometry'),
+    (['map.rate=1,2'], 'no measure depends on it'),
+    (['refine.period=1,2'], 'no measure depends on it'),
     (['disturb.posenoise=1'], "did you mean 'disturb.pose_noise'"),
     (['disturb.order=backwards'], 'recorded, reversed, shuffled'),
     (['disturb.depth_noise=-1'], 'a number from 0 on'),
@@ -89,6 +92,15 @@ def test_order_of_integration_is_an_axis(tmp_path, recording):
 def test_refusals(items, said):
     with pytest.raises(PersemError, match=said):
         parse_vary(items, Config())
+
+
+@pytest.mark.parametrize('item, said', [
+    ('ema.alpha=0.5,0.9', 'only ema2d depends .* use --methods majority,persem,ema2d'),
+    ('refine.geometry.window=10,20', 'only geometry depends .* majority,persem,geometry')])
+def test_settings_of_a_method_that_is_not_measured(tmp_path, item, said):
+    with pytest.raises(PersemError, match=said):
+        sweep(['nowhere'], tmp_path, Config(), parse_vary([item], Config()),
+              ('majority', 'persem'))
 
 
 def test_lists_are_values_too():
