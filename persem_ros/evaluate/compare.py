@@ -14,6 +14,7 @@ from persem_ros.evaluate.measure.measures import BETTER, MEASURES, number
 from persem_ros.evaluate.show import table
 from persem_ros.evaluate.show.paper_tables import NAMES
 from persem_ros.evaluate.work import manifest
+from persem_ros.inputs.recording.excerpt import Excerpt
 from persem_ros.outputs.files import write_text
 from persem_ros.settings.config import nearest
 from persem_ros.settings.parameter_file import read
@@ -45,14 +46,17 @@ def load(folder: Path | str) -> dict[str, Any]:
                     for name in found['sequences']}
             return {'sequences': found['sequences'], 'settings': found['settings'],
                     'versions': found['versions'], 'taxonomy': found['taxonomy'],
-                    'blocks': {name: one.arrays for name, one in done.items() if one}}
+                    'blocks': {name: one.arrays for name, one in done.items() if one},
+                    'inputs': {name: manifest.inputs(folder / 'sequences' / name)
+                               for name in done}}
         if (folder / 'metrics.json').is_file():
             timing = json.loads((folder / 'timing.json').read_text('utf-8'))
             values = read(folder / 'config.yaml')
             return {'sequences': {'replay': json.loads(
                         (folder / 'metrics.json').read_text('utf-8'))},
                     'settings': {name: value for name, (value, _) in values.items()},
-                    'versions': timing['versions'], 'taxonomy': 'all ids', 'blocks': {}}
+                    'versions': timing['versions'], 'taxonomy': 'all ids', 'blocks': {},
+                    'inputs': {}}
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise PersemError(f'{folder}: damaged: {" ".join(str(error).split())}') from None
     raise PersemError(f'{folder} holds no result: expected evaluation.json of persem evaluate or '
@@ -81,6 +85,7 @@ def compare(
     for one, other, name in ((first, second, a), (second, first, b)):
         alone = [s for s in one['sequences'] if s not in {p[one is second] for p in pairs}]
         lines += [f'sequences in {name} only: {", ".join(alone)}'] if alone else []
+    lines += [line for names in pairs for line in unlike(first, second, *names)]
     found = [_table(first, second, *names) for names in pairs]
     if out:
         _draw(Path(out), pairs, first, second, (str(a), str(b)))
@@ -88,6 +93,44 @@ def compare(
             for suffix, form in table.FORMATS.items():
                 write_text(Path(out) / f'{item.key}.{suffix}', form(item))
     return lines, found
+
+
+def unlike(first: dict[str, Any], second: dict[str, Any], name: str, other: str) -> list[str]:
+    """
+    Return why the numbers of a sequence are of different pixels, and what makes them alike.
+
+    Other frames, another recording or voxels of another size change every row, raw2d or majority
+    too, and hide what a method does.
+
+    """
+    used = [result['sequences'][key]['frames']['used']
+            for result, key in ((first, name), (second, other))]
+    one, two = (result['inputs'].get(key, {}) for result, key in ((first, name), (second, other)))
+    stamps = [result['blocks'][key]['frame/stamp'] for result, key in (
+        (first, name), (second, other)) if key in result['blocks']]
+    lines = []
+    if used[0] != used[1] or len(stamps) == 2 and not np.array_equal(*stamps):
+        cuts = [one.get('excerpt') for one in (one, two)]
+        how = 'use the same --start, --end and --every for both' if cuts[0] == cuts[1] else (
+            f'A has {_options(cuts[0])}, B {_options(cuts[1])}: use the same for both')
+        count = f'{used[0]} frames against {used[1]}' if used[0] != used[1] else 'other frames'
+        lines.append(f'{name}: {count}, B - A is no gain of a method; to compare, {how}')
+    if one and two and one['recording'] != two['recording']:
+        lines.append(f'{name}: the recordings hold different data, B - A is no gain of a method; '
+                     'to compare, evaluate one recording twice')
+    sizes = [result['settings'].get('memory.voxel_size') for result in (first, second)]
+    others = [key for key in sorted({*first['settings'], *second['settings']})
+              if first['settings'].get(key) != second['settings'].get(key)]
+    if sizes[0] != sizes[1] and len(others) > 1:
+        lines.append(f'{name}: voxels of {sizes[0]} m against {sizes[1]} m beside '
+                     'other settings; to see what those do, give both --set '
+                     f'memory.voxel_size={sizes[0]}')
+    return lines
+
+
+def _options(excerpt: dict[str, Any] | None) -> str:
+    """Return the options of an excerpt."""
+    return ' '.join(Excerpt(**excerpt).words()) if excerpt else 'no --start, --end or --every'
 
 
 def _pairs(

@@ -212,6 +212,16 @@ def test_half_finished_folders(tmp_path, recording, capsys):
     error = capsys.readouterr().err
     assert 'refine.eta: 0.3 -> 0.4' in error and '--force' in error and error.count('\n') == 1
     assert cli.main([*words, '--set', 'refine.eta=0.4', '--force']) == 0
+    for title, i in (('one', 3), ('two', 5)):
+        (tmp_path / f'{title}.yaml').write_text(
+            f'title: {title}\nclasses:\n- {{id: 7, name: x}}\n- {{id: {i}, name: three}}\n')
+    assert cli.main([*words, '--force', '--labels', str(tmp_path / 'one.yaml')]) == 0
+    capsys.readouterr()
+    assert cli.main([*words, '--labels', str(tmp_path / 'two.yaml')]) == 1
+    assert ("(taxonomy: 'one' -> 'two', only before: 3 three, only now: 5 three)"
+            in capsys.readouterr().err)
+    assert cli.main(words) == 1
+    assert "(taxonomy: 'one' -> none)" in capsys.readouterr().err
     (tmp_path / 'full').mkdir()
     (tmp_path / 'full' / 'letter.txt').write_text('dear')
     assert cli.main([*words[:3], str(tmp_path / 'full')]) == 1
@@ -241,6 +251,11 @@ def test_refusals(tmp_path, recording, capsys):
     assert 'neither a file nor a shipped legend' in refused(recording, '--labels', 'twon')
     empty = worlds.write(tmp_path / 'empty', frames=0)
     assert 'empty' in refused(empty)
+
+
+def test_help_counts_the_methods(capsys):
+    assert cli.main(['evaluate', '--help']) == 0
+    assert f'(default: all {len(ALL_METHODS)})' in ' '.join(capsys.readouterr().out.split())
 
 
 def test_no_truth_is_said(tmp_path, capsys):

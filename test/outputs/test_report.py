@@ -224,6 +224,7 @@ def test_the_command_does_the_same_again(full, bare, monkeypatch):
         calls = []
         monkeypatch.setattr('persem_ros.replay.replay',
                             lambda *given, **rest: calls.append(given) or case.result)
+        assert '--force' in words       # the folder is there
         monkeypatch.setattr(replay_command, 'summary', lambda *given: '')
         assert main(words[1:]) == 0
         (bag,), out, config, methods, causal, *_ = calls[0]

@@ -19,13 +19,17 @@ from persem_ros.inputs.recording.finding import split
 from persem_ros.outputs.files import replacing, write_json
 from persem_ros.outputs.results import timing
 from persem_ros.settings.config import settings
+from persem_ros.settings.legend import Legend
 from persem_ros.settings.legend_files import load_legend
 
 if TYPE_CHECKING:
     from persem_ros.evaluate.work.task import Task
+    from persem_ros.settings.legend_class import LegendClass
 
 MANIFEST, SUMMARY, ARRAYS = 'manifest.json', 'summary.json', 'arrays.npz'
 PIECE = 1 << 22
+LEGENDS = ('taxonomy', 'labels.legend')     # whole legends, as text
+SHOWN = 4           # classes of a difference
 
 
 def identity(task: Task) -> dict[str, Any]:
@@ -114,6 +118,15 @@ def load(folder: Path, found: dict[str, Any] | None = None) -> Result | None:
         return None
 
 
+def inputs(folder: Path) -> dict[str, Any]:
+    """Return the recording and the excerpt that a result is of, {} where nothing says it."""
+    try:
+        found = json.loads((folder / MANIFEST).read_text('utf-8'))
+        return {'recording': found['recording'], 'excerpt': found.get('excerpt')}
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}
+
+
 def changes(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
     """Return what differs between two identities, as short sentences."""
     lines = []
@@ -122,11 +135,44 @@ def changes(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
         if a == b:
             continue
         if isinstance(a, dict) and isinstance(b, dict):
-            lines += [f'{key}: {_short(a.get(key))} -> {_short(b.get(key))}'
+            lines += [_change(key, a.get(key), b.get(key))
                       for key in sorted({*a, *b}) if a.get(key) != b.get(key)]
         else:
-            lines.append(f'{name}: {_short(a)} -> {_short(b)}')
+            lines.append(_change(name, a, b))
     return lines
+
+
+def _change(name: str, a: object, b: object) -> str:
+    """Return one difference; of legends only the titles and the classes that differ."""
+    legends = [_legend(text) for text in (a, b)]
+    if name not in LEGENDS or None in legends or legends == [Legend()] * 2:
+        return f'{name}: {_short(a)} -> {_short(b)}'
+    titles, rows = [], []
+    for legend in legends:
+        assert legend is not None, 'looked at above'
+        rows.append({item.id: item for item in legend.classes})
+        titles.append(repr(legend.title or 'a legend') if legend.classes else 'none')
+    alone = [] if 'none' in titles else [
+        f'only {when}: ' + _named([item for item in mine.values() if (
+            item.id not in theirs or item.name != theirs[item.id].name)])
+        for when, mine, theirs in (('before', *rows), ('now', *rows[::-1]))]
+    parts = [' -> '.join(titles), *(part for part in alone if not part.endswith(': '))]
+    if titles[0] == titles[1] and len(parts) == 1:
+        parts = [f'{titles[0]}, other colours, groups, flags or order']
+    return f'{name}: {", ".join(parts)}'
+
+
+def _named(items: list[LegendClass]) -> str:
+    more = f' and {len(items) - SHOWN} more' if len(items) > SHOWN else ''
+    return ' '.join(f'{item.id} {_short(item.name)}' for item in items[:SHOWN]) + more
+
+
+def _legend(text: object) -> Legend | None:
+    """Return the legend of a text, one without classes of '', None where it is none."""
+    try:
+        return Legend.from_yaml(str(text)) if text else Legend()
+    except PersemError:
+        return None
 
 
 def _short(value: object) -> str:

@@ -152,6 +152,7 @@ def command(
     if tuple(methods) != tuple(dict.fromkeys(usual)):
         words += ['--methods', ','.join(methods)]
     words += ['--causal'] * bool(causal)
+    words.append('--force')         # the folder is there: this run made it
     values = {name: value for name, value, _ in settings(config)}
     for row in changed_settings(config):
         value = values[row['name']]
