@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, TYPE_CHECKING
 
 from persem_ros.commands.options import add_evaluation, methods_of
+from persem_ros.settings.config import IMAGE_METHODS, METHODS
 
 if TYPE_CHECKING:
     from argparse import _SubParsersAction, Namespace
@@ -24,7 +25,8 @@ def add_parser(subparsers: _SubParsersAction[Any]) -> None:
     parser.add_argument('--out', metavar='DIR', help='folder of the results (default: only the '
                                                      'tables, on standard output)')
     parser.add_argument('--methods', metavar='A,B', default='all',
-                        help='methods to be compared (default: all twelve)')
+                        help='methods to be compared (default: all '
+                             f'{len(IMAGE_METHODS + METHODS)})')
     add_evaluation(parser)
     parser.set_defaults(run=run)
 
