@@ -147,7 +147,8 @@ def _change(name: str, a: object, b: object) -> str:
     legends = [_legend(text) for text in (a, b)]
     if name not in LEGENDS or None in legends or legends == [Legend()] * 2:
         return f'{name}: {_short(a)} -> {_short(b)}'
-    titles, rows = [], []
+    titles: list[str] = []
+    rows: list[dict[int, LegendClass]] = []
     for legend in legends:
         assert legend is not None, 'looked at above'
         rows.append({item.id: item for item in legend.classes})
