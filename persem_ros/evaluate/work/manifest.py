@@ -153,10 +153,11 @@ def _change(name: str, a: object, b: object) -> str:
         assert legend is not None, 'looked at above'
         rows.append({item.id: item for item in legend.classes})
         titles.append(repr(legend.title or 'a legend') if legend.classes else 'none')
+    before, now = rows
     alone = [] if 'none' in titles else [
         f'only {when}: ' + _named([item for item in mine.values() if (
             item.id not in theirs or item.name != theirs[item.id].name)])
-        for when, mine, theirs in (('before', *rows), ('now', *rows[::-1]))]
+        for when, mine, theirs in (('before', before, now), ('now', now, before))]
     parts = [' -> '.join(titles), *(part for part in alone if not part.endswith(': '))]
     if titles[0] == titles[1] and len(parts) == 1:
         parts = [f'{titles[0]}, other colours, groups, flags or order']
