@@ -66,10 +66,12 @@ def run(args: Namespace) -> None:
     store.save(out, done.memory, config, done.legend)
     for note in done.notes:
         print(note)
+    sessions = len(done.memory.frames.sessions)
     print(f'{done.memory.n_voxels} voxels, {done.memory.n_observations} observations, '
-          f'{len(done.memory.frames.sessions)} sessions in {out}: '
-          + ('equal to one run over all recordings' if done.exact else
-             'not what one run over all recordings gives, but all that was kept'))
+          f'{sessions} session{"s" if sessions > 1 else ""} in {out}: '
+          + ('not what one run over all recordings gives, but all that was kept'
+             if not done.exact else 'equal to one run over all recordings' if done.known else
+             'equal to one run over all recordings, as far as their settings are known'))
 
 
 def _matrix(numbers: list[float]) -> NDArray[np.float64]:

@@ -1,6 +1,7 @@
 """Maps that were merged: the flight that they are halves of; classes by name; refusals."""
 
 from dataclasses import replace
+import re
 
 import core_worlds as cw
 from hypothesis import assume, given, strategies as st
@@ -120,9 +121,11 @@ def test_voxels_that_do_not_fit_are_refused(tmp_path, change, said):
 
 
 @pytest.mark.parametrize('legends, said', [
-    ((named('road', 'tree'), named('road')), 'id 1 is used and has no name; --by-id'),
-    ((named('road'), named('road', 'tree')), 'id 1 is used before .* and has no name'),
-    ((named('road', 'tree'), named('road', 'road')), "'road' is the name of id 0 and of id 1")])
+    ((named('road', 'tree'), named('road')), '1: id 1 is used and has no name; --by-id'),
+    ((named('road'), named('road', 'tree')), '0: id 1 is used and has no name; --by-id'),
+    ((None, None, named('road', 'tree')), '0: id 0 is used and has no name; --by-id'),
+    ((named('road', 'road'), named('road')), "0: 'road' is the name of id 0 and of id 1"),
+    ((named('road', 'tree'), named('road', 'road')), "1: 'road' is the name of id 0 and of id 1")])
 def test_legends_that_contradict_are_refused(tmp_path, legends, said):
     maps = [saved(tmp_path / str(k), frames(0, 1, first=9 * k), legend)
             for k, legend in enumerate(legends)]
@@ -137,6 +140,96 @@ def test_observations_that_are_missing(tmp_path):
     one, two = saved(tmp_path / 'a', frames(1)), saved(tmp_path / 'b', many, config=bounded)
     with pytest.raises(PersemError, match='b has let go of observations .*max_history 1'):
         merge([one, two])
+
+
+@pytest.mark.parametrize('change, said', [
+    ({'memory.dynamic_labels': [1, 7]}, 'memory.dynamic_labels is none in {0} and 1, 7 in {1}'),
+    ({'memory.ignore_labels': []}, 'memory.ignore_labels is 255, 65535 in {0} and none in {1}'),
+    ({'memory.max_depth': 50.0}, 'memory.max_depth is 200.0 in {0} and 50.0 in {1}'),
+    ({'memory.clear_after': 3}, 'memory.clear_after is 0 in {0} and 3 in {1}'),
+    ({'depth.kind': 'ray'}, 'depth.kind is z in {0} and ray in {1}'),
+    ({'topics.confidence': 'c'}, 'topics.confidence is empty in {0} and c in {1}')],
+    ids=lambda value: next(iter(value)) if isinstance(value, dict) else '')
+def test_other_settings_are_no_one_run(tmp_path, capsys, change, said):
+    files = [str(tmp_path / name) for name in 'ab']
+    saved(files[0], frames(1, 2))
+    saved(files[1], frames(3, first=5), config=updated(CONFIG, change))
+    assert main(['map', 'merge', *files, '--out', str(tmp_path / 'c')]) == 0
+    note, last = capsys.readouterr().out.splitlines()
+    assert note == f'{said.format(*files)}: one run has one of them'
+    assert last.endswith('c: not what one run over all recordings gives, but all that was kept')
+
+
+def test_settings_that_put_nothing_into_a_map(tmp_path):
+    """Labels go by the settings of the first, which is one run with these."""
+    one = saved(tmp_path / 'a', frames(1, 2))
+    values = {'topics.depth': 'other', 'render.fill': 'unknown', 'memory.clear_margin': 3.0,
+              'memory.ignore_labels': [65535, 255], 'memory.max_history': 9, 'refine.sweep': 7,
+              'refine.geometry.rounds': 5}
+    two = saved(tmp_path / 'b', frames(3, first=5), config=updated(CONFIG, values))
+    done = merge([one, two])
+    assert done.exact and done.known and not done.notes
+    three = saved(tmp_path / 'c', frames(3, first=5), config=updated(CONFIG, {'refine.eta': 0.5}))
+    done = merge([one, three])
+    assert done.exact and done.known and done.notes == [
+        f'refine.eta is 0.3 in {one.path} and 0.5 in {three.path}: the map is refined by that of '
+        f'{one.path}']
+
+
+@pytest.mark.parametrize('heights, exact', [
+    ('', False), ('legend: 1 -2 2', False), ('1 -2 2', True), ('none', True)])
+def test_heights_that_legends_gave_are_no_one_run(tmp_path, heights, exact):
+    config = updated(CONFIG, {'refine.method': 'geometry', 'refine.geometry.heights': heights})
+    one = saved(tmp_path / 'a', frames(1, 2), config=config)
+    two = saved(tmp_path / 'b', frames(3, first=5), config=updated(config, {
+        'refine.geometry.heights': 'legend: 3 1 9'}))
+    done = merge([one, two])
+    assert done.exact == exact and done.notes[0].startswith('refine.geometry.heights is ')
+
+
+def test_settings_name_classes_by_the_legends(tmp_path):
+    car, van = (updated(CONFIG, {'memory.dynamic_labels': [c]}) for c in (2, 3))
+    one = saved(tmp_path / 'a', frames(1), named('road', 'car', first=1), car)
+    two = saved(tmp_path / 'b', frames(1, first=5), named('road', 'van', 'car', first=1), van)
+    assert merge([one, two]).exact
+    done = merge([one, two], by_id=True)
+    assert not done.exact and 'is 2 (car) in ' in done.notes[0] and '3 (car)' in done.notes[0]
+    two = saved(tmp_path / 'c', frames(1, first=5), named('road', 'van', first=1), car)
+    assert not merge([one, two]).exact      # its 2 is another class
+
+
+def test_what_a_file_does_not_know_was_not_compared(tmp_path, capsys):
+    files = [str(tmp_path / name) for name in 'abcd']
+    one, two = saved(files[0], frames(1, 2)), saved(files[1], frames(3, first=5))
+    less = replace(two, settings=re.sub(r'\n +stride: .*', '', two.settings))
+    assert less.settings != two.settings
+    done = merge([one, less])
+    assert done.exact and not done.known and done.notes == [
+        f'{less.path} does not say memory.stride, which was not compared']
+    assert main(['map', 'merge', *files[:2], '--out', files[2]]) == 0
+    saved(files[3], frames(5, first=20))
+    assert main(['map', 'merge', *files[2:], '--out', str(tmp_path / 'e')]) == 0
+    note, last = capsys.readouterr().out.splitlines()[1:]
+    assert note.startswith(f'{files[2]} has 2 sessions and the settings of its last run alone')
+    assert last.endswith(': equal to one run over all recordings, as far as their settings are '
+                         'known')
+
+
+def test_more_observations_than_one_run_keeps(tmp_path):
+    bounded = updated(CONFIG, {'memory.max_history': 3})
+    one, two = (saved(tmp_path / str(t), [(t + k, {(0, 0, 0): (1, 1.0)}, [1]) for k in range(2)],
+                      config=bounded) for t in (0, 9))
+    done = merge([one, two])
+    assert not done.exact and done.notes == [
+        'voxels have up to 4 observations, of which one run with memory.max_history 3, as in '
+        f'{one.path}, keeps the newest']
+
+
+def test_one_session_is_no_sessions(tmp_path, capsys):
+    files = [str(tmp_path / name) for name in 'ab']
+    saved(files[0], frames(1, 2)), saved(files[1], frames(1, 2))
+    assert main(['map', 'merge', *files, '--out', str(tmp_path / 'c')]) == 0
+    assert ', 1 session in ' in capsys.readouterr().out
 
 
 def test_the_command(tmp_path, capsys):

@@ -10,6 +10,7 @@ from persem_ros.core.frame.sessions import (
     add_session, fingerprint, keep_looks, nothing_forgotten, whole)
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.errors import PersemError
+from persem_ros.outputs.map.made_with import differences, of_many
 from persem_ros.outputs.map.stored import StoredMap
 from persem_ros.settings.legend import Legend
 from persem_ros.settings.legend_class import LegendClass
@@ -28,7 +29,9 @@ class Merged:
         The map so far.
     legend : Legend
     exact : bool
-        Whether it equals one run over all recordings.
+        Whether it equals one run over all recordings ...
+    known : bool
+        ... and whether that is known of all settings.
     notes : list of str
         What a user should know, a sentence each.
 
@@ -37,6 +40,7 @@ class Merged:
     memory: VoxelMemory
     legend: Legend
     exact: bool
+    known: bool
     notes: list[str]
 
 
@@ -65,7 +69,7 @@ def merge(maps: list[StoredMap], by_id: bool = False, legend: Legend | None = No
                               f'{one.saved.max_history}) and a merge adds all of them again; map '
                               'it anew with memory.max_history 0')
     first = maps[0]
-    done = Merged(_unbounded(first), legend or first.legend, True, [])
+    done = Merged(_unbounded(first), legend or first.legend, True, True, [])
     known = {session.uuid: (first, number)
              for number, session in first.saved.frames.sessions.items()}
     for one in maps:
@@ -76,10 +80,13 @@ def merge(maps: list[StoredMap], by_id: bool = False, legend: Legend | None = No
             done.exact = False
             done.notes.append(f'{one.path} was looked through (memory.clear_after): its counts '
                               'are kept, those through voxels of the others are missing')
-    for one in maps[1:]:
+        for note in of_many(one):
+            done.known = False
+            done.notes.append(note)
+    for k, one in enumerate(maps[1:], 1):
         shift = _shift(first, one)
         ids = np.arange(65536).astype(np.uint16) if by_id or legend is not None else \
-            _ids(done, one)
+            _ids(done, maps[:k], one)
         renamed = (ids != np.arange(65536)) & (one.saved.seen_ids > 0)
         done.exact &= not shift.any() and not renamed.any()
         added = False
@@ -94,8 +101,28 @@ def merge(maps: list[StoredMap], by_id: bool = False, legend: Legend | None = No
             added = True
         if added:
             keep_looks(done.memory, one.saved, shift)
+            _compare(done, first, one, by_id or legend is not None)
         done.memory.seen_ids[ids[np.flatnonzero(one.saved.seen_ids)]] = 1
+    _check_bound(done, first)
     return done
+
+
+def _compare(done: Merged, first: StoredMap, one: StoredMap, by_id: bool) -> None:
+    """Note in what settings a map was made otherwise than the first."""
+    found = differences(first, one, by_id)
+    done.exact &= not found.observing
+    done.known &= not found.unknown
+    done.notes += [*found.observing, *found.refining, *found.unknown]
+
+
+def _check_bound(done: Merged, first: StoredMap) -> None:
+    """Note where one run would have let go of observations."""
+    bound = first.config().memory.max_history
+    most = int(done.memory.m.voxels['n'][:done.memory.n_numbers].max(initial=0))
+    if 0 < bound < most:
+        done.exact = False
+        done.notes.append(f'voxels have up to {most} observations, of which one run with '
+                          f'memory.max_history {bound}, as in {first.path}, keeps the newest')
 
 
 def _unbounded(first: StoredMap) -> VoxelMemory:
@@ -133,19 +160,20 @@ def _check_same(mine: tuple[StoredMap, int], other: tuple[StoredMap, int]) -> No
                           'them')
 
 
-def _ids(done: Merged, one: StoredMap) -> NDArray[np.uint16]:
+def _ids(done: Merged, before: list[StoredMap], one: StoredMap) -> NDArray[np.uint16]:
     """Return what the ids of a map become by the names of their classes; extend the legend."""
     ids = np.arange(65536).astype(np.uint16)
     used = np.flatnonzero(one.saved.seen_ids).tolist()
     if not done.legend.classes and not one.legend.classes:
         return ids
     settle = '--by-id takes ids as they are, --legend FILE names them'
-    names = _names(done.legend, 'the maps before', settle)
+    names = _names(done.legend, str(before[0].path), settle)
     theirs = {item.id: item for item in one.legend.classes}
     _names(one.legend, str(one.path), settle)
     for c in np.flatnonzero(done.memory.seen_ids).tolist():
         if c not in done.legend.ids:
-            raise PersemError(f'id {c} is used before {one.path} and has no name; {settle}')
+            where = next((there.path for there in before if there.saved.seen_ids[c]), one.path)
+            raise PersemError(f'{where}: id {c} is used and has no name; {settle}')
     taken = {*done.legend.ids, *one.legend.ids, *used, *np.flatnonzero(done.memory.seen_ids),
              *one.config().memory.ignore_labels, *one.config().memory.dynamic_labels}
     free, learned = (i for i in range(LAST_ID + 1) if i not in taken), list(done.legend.classes)
