@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.geometry.columns import cells_at
 from persem_ros.core.geometry.kept import within
+from persem_ros.core.geometry.overruled import counts_of
 from persem_ros.core.memory.blocks import block_numbers
 from persem_ros.core.memory.capture import dump
 from persem_ros.core.memory.dump import Blocks
@@ -68,7 +69,8 @@ def refine(task: Refining) -> dict[str, Any]:
             'label': done.label[here], 'source': done.source[here],
             'posterior': done.posterior[here], 'dirty': np.zeros(len(own.cell), np.uint8)}),
         config)
-    return {'tile': [tile.i, tile.j]}
+    return {'tile': [tile.i, tile.j], 'overruled': [] if task.fitted is None else counts_of(
+        memory.columns(numbers), config.refine, task.fitted.columns())}
 
 
 def _job(memory: VoxelMemory, blocks: NDArray[np.int64], settings: Refine,

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.cluster import connected
+from persem_ros.core.geometry.overruled import summed
 from persem_ros.core.jit import Announcement
 from persem_ros.core.memory.pools import SIDE
 from persem_ros.core.warmup import warm_up
@@ -27,6 +28,7 @@ from persem_ros.mosaic.refine import refine, Refining
 from persem_ros.mosaic.surroundings import Surrounded
 from persem_ros.outputs.files import write_json, write_text
 from persem_ros.outputs.results.timing import hardware, Stopwatch
+from persem_ros.preflight.advice import Advice
 from persem_ros.settings import config_file
 from persem_ros.settings.config import Config
 
@@ -138,6 +140,9 @@ def _build(folder: folders.Folder, plan: Plan, watch: Stopwatch) -> dict[str, An
             refine, [1] * len(tiles), 'refining', 'tiles').values())
     with watch('assemble'):
         assemble.assemble(folder.out / folders.MAP, plan, parts, files, counts, seen, habits)
+    found = summed((row for one in refined for row in one['overruled']), plan.config.refine)
+    for note in Advice(plan.config, plan.legend).sentences(seen, found):
+        log.warning('%s', note)
     return {'frames': {'used': first,
                        'dropped': dict(sum((Counter(o['dropped']) for o in observed), Counter()))},
             'sessions': len(parts), 'voxels': sum(tile['voxels'] for tile in counts),

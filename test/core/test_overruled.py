@@ -6,7 +6,10 @@ from core_worlds import examples
 import geometry_reference as plain
 from hypothesis import given, strategies as st
 import numpy as np
-from persem_ros.core.geometry.overruled import Overruled, overruled
+from persem_ros.core.geometry import upright as turned
+from persem_ros.core.geometry.columns import Columns, merged
+from persem_ros.core.geometry.ground import lower, NONE, TILE, tiles_of
+from persem_ros.core.geometry.overruled import counts_of, Overruled, overruled, summed
 from persem_ros.settings.config import Geometry, Refine
 import pytest
 
@@ -20,7 +23,8 @@ def test_counts_are_those_of_the_definition(seed, up, window):
     voxel = np.unique(rng.integers(-30, 40, (rng.integers(1, 300), 3)), axis=0).astype(np.int32)
     majority, label = rng.choice(np.array([0, 1, 4, 9], np.uint16), (2, len(voxel)))
     settings = replace(Refine(), up=up, geometry=Geometry(heights=HEIGHTS, window=window))
-    found = overruled({'voxel': voxel, 'majority': majority, 'label': label}, settings)
+    columns = {'voxel': voxel, 'majority': majority, 'label': label}
+    found = overruled(columns, settings)
     upright = np.array([plain.upright(v, up) for v in voxel.tolist()])
     steps = 12 * np.searchsorted(plain.HEIGHTS, plain.heights(upright, window), 'right')
     classes = [0, 1, 4]
@@ -32,6 +36,19 @@ def test_counts_are_those_of_the_definition(seed, up, window):
             wanted.append((c, mine.sum(), (mine & out[:, k]).sum(),
                            (mine & out[:, k] & (label == c)).sum()))
     assert [(one.label, *one[3:]) for one in found] == wanted
+    parts = [{name: column[voxel[:, 0] // 8 % 2 == k] for name, column in columns.items()}
+             for k in range(2)]
+    whole = merged([lowest_of(turned.upright(part['voxel'], turned.up_of(up))) for part in parts])
+    assert found == summed(
+        [row for part in parts for row in counts_of(part, settings, whole)], settings)
+
+
+def lowest_of(index):
+    """Return the Columns of some upright voxels in any order."""
+    tiles, tile = tiles_of(index // 8)
+    lowest = np.full((len(tiles), TILE), NONE, np.int32)
+    lower(index, tile, lowest)
+    return Columns(tiles, lowest)
 
 
 def test_without_heights_there_is_nothing_to_say():

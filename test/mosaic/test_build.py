@@ -103,6 +103,27 @@ def test_geometry_by_other_settings(recordings, tmp_path, values):
         (tmp_path / 'replay' / 'map.persem').read_bytes()
 
 
+@pytest.mark.parametrize('up', ['z', 'x'])
+def test_what_a_replay_says_of_the_legend(tmp_path, caplog, monkeypatch, up):
+    """Heights that the votes contradict, the same in tiles; classes that move."""
+    monkeypatch.setattr('persem_ros.core.geometry.overruled.FEW', 10)
+    path = worlds.write(tmp_path / 'wall', 6, legend="""
+classes:
+- {id: 3, name: wall, height: [6, 7]}
+- {id: 9, name: car, dynamic: true}
+""")
+    values, said = {**GEOMETRY, 'refine.up': up}, []
+    for map_of, more in ((replay, {'report': False}),
+                         (run.build, {'tile': TILE, 'workers': 1})):
+        caplog.clear()
+        map_of([str(path)], tmp_path / map_of.__name__, config_of(**values), **more)
+        said.append([r.getMessage() for r in caplog.records if 'heights' in r.getMessage()
+                     or 'legend marks' in r.getMessage()])
+    assert said[0] == said[1]
+    assert 'the votes contradict the heights of wall 6 to 7 m' in '\n'.join(said[1])
+    assert any('marks 9 (car) as dynamic' in note for note in said[1])
+
+
 def test_geometry_of_many_classes(recordings, tmp_path, monkeypatch):
     for module in FORMS:
         monkeypatch.setattr(f'persem_ros.{module}.MOST_DENSE', 0)
@@ -222,6 +243,12 @@ def test_options_that_no_build_can_follow(recordings, tmp_path, capsys, words, s
     pytest.importorskip('distributed')
     assert said in refused(capsys, recordings[0], '--out', tmp_path / 'out', *words)
     assert not (tmp_path / 'out').exists()
+
+
+def test_one_recording_is_one_session(recordings, tmp_path, capsys):
+    assert main(['build', recordings[0], '--out', str(tmp_path / 'o'), '--workers', '1']) == 0
+    first = capsys.readouterr().out.splitlines()[0]
+    assert first.startswith('6 frames used, 0 dropped; 1 session, ') and ' tiles, ' in first
 
 
 def test_a_map_of_too_many_tiles(recordings, tmp_path, monkeypatch):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple, Optional
 
 import numpy as np
 from numpy.typing import NDArray
-from persem_ros.core.geometry.ground import ground_of, lower, NONE, TILE, tiles_of
+from persem_ros.core.geometry.columns import Columns
+from persem_ros.core.geometry.ground import lower, NONE, TILE, tiles_of
 from persem_ros.core.geometry.groups import HEIGHTS
 from persem_ros.core.geometry.hints import steps_out
 from persem_ros.core.geometry.upright import up_of, upright
@@ -69,25 +71,53 @@ def overruled(columns: dict[str, NDArray[Any]], settings: Any) -> list[Overruled
         up and geometry.
 
     """
+    return summed(counts_of(columns, settings), settings)
+
+
+def counts_of(columns: dict[str, NDArray[Any]], settings: Any,
+              whole: Optional[Columns] = None) -> list[tuple[int, int, int, int]]:
+    """
+    Return (label, voxels, out, kept) of each class of an Overruled, in a part of a map.
+
+    Parameters
+    ----------
+    columns, settings
+        As of overruled().
+    whole : core.geometry.columns.Columns, optional
+        Of the map; None: the part is all of it.
+
+    """
     spans = parsed(settings.geometry.heights)
     if not spans or not len(columns['voxel']):
         return []
-    step = steps_of(upright(columns['voxel'], up_of(settings.up)), settings.geometry.window)
+    step = steps_of(upright(columns['voxel'], up_of(settings.up)), settings.geometry.window, whole)
     found = []
     for c, low, high in spans:
         mine = np.flatnonzero(columns['majority'] == c)
         out = mine[steps_out(low, high)[step[mine]]]
         if len(mine):
             kept = int(np.count_nonzero(columns['label'][out] == c))
-            found.append(Overruled(c, low, high, len(mine), len(out), kept))
+            found.append((c, len(mine), len(out), kept))
     return found
 
 
-def steps_of(index: NDArray[np.int32], window: int) -> NDArray[np.int64]:
+def summed(counts: Iterable[Sequence[int]], settings: Any) -> list[Overruled]:
+    """Return the Overruled of a map by what counts_of() found in its parts."""
+    sums: dict[int, list[int]] = {}
+    for c, *numbers in counts:
+        sums[c] = [a + b for a, b in zip(sums.get(c, (0, 0, 0)), numbers)]
+    return [Overruled(c, low, high, *sums[c])
+            for c, low, high in parsed(settings.geometry.heights) if c in sums]
+
+
+def steps_of(index: NDArray[np.int32], window: int,
+             whole: Optional[Columns] = None) -> NDArray[np.int64]:
     """Return in which step of heights above the ground upright voxels (n, 3) lie, below 8."""
     tiles, tile = tiles_of(index // SIDE)
     lowest = np.full((len(tiles), TILE), NONE, np.int32)
     lower(index, tile, lowest)
-    level = ground_of(tiles, lowest, window).level
+    own = Columns(tiles, lowest)
+    around = own if whole is None else whole.around(own, window)
+    level = around.ground(window).level[around.places(tiles)]
     column = (index[:, 0] & SIDE - 1) * SIDE + (index[:, 1] & SIDE - 1)
     return np.searchsorted(HEIGHTS, index[:, 2] - level[tile, column], side='right')
