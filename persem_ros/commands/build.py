@@ -45,6 +45,7 @@ def run(args: Namespace) -> None:
     result = build(args.bags, args.out, config, args.tile, args.workers, args.scheduler,
                    args.force)
     print('\n'.join(frames_text.lines(
-        result['frames'], f'{result["sessions"]} sessions, {result["tiles"]} tiles, '
-                          f'{result["voxels"]} voxels, {result["observations"]} observations')))
+        result['frames'], ', '.join(
+            f'{result[what]} {what if result[what] != 1 else what[:-1]}'
+            for what in ('sessions', 'tiles', 'voxels', 'observations')))))
     print(f'the map is {Path(args.out) / "map.persem"}')
