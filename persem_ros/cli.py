@@ -26,6 +26,8 @@ from persem_ros.settings.config import nearest, settings    # noqa: E402
 COMMANDS = ('simulate', 'convert', 'info', 'replay', 'build', 'evaluate', 'sweep', 'compare',
             'config', 'map')
 
+# What is easily taken for each other.
+MEANS = {'refine.method': ' (the map and the pictures)', '--methods': ' (rows of the table)'}
 DONE, REFUSED, USAGE, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, ending.INTERRUPTED, 141
 
 
@@ -143,7 +145,28 @@ def _fault(error: Exception, debug: bool) -> int:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that names the nearest choice, for example of a sub-command, if one is wrong."""
+    """
+    A parser that takes options by their whole names and names the nearest choice.
+
+    The arguments that it takes apart know it (parser): of a sub-command, the innermost.
+
+    """
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        # An abbreviation of another option would be taken for it: --method for --methods.
+        super().__init__(*args, **{**kwargs, 'allow_abbrev': False})
+
+    def parse_known_args(       # type: ignore[override]
+            self, args: Any = None, namespace: Any = None) -> tuple[argparse.Namespace, list[str]]:
+        """Take arguments apart; return them and those that are none of ours."""
+        found, strange = super().parse_known_args(args, namespace)
+        if not hasattr(found, 'parser'):
+            found.parser = self
+        return found, strange
+
+    def longer(self, option: str) -> list[str]:
+        """Return the options that begin with another one."""
+        return [name for name in self._option_string_actions if name.startswith(option)]
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         try:
@@ -158,22 +181,25 @@ def _parsed(argv: list[str]) -> argparse.Namespace:
     parser = _parser(argv)
     args, strange = parser.parse_known_args(argv)
     if strange:
-        hint = _as_settings(strange, argv) if hasattr(args, 'set_items') else ''
+        hint = _meant(strange, argv, args)
         parser.error(f'unrecognized arguments: {" ".join(strange)}{hint}')
     return args
 
 
-def _as_settings(strange: list[str], argv: list[str]) -> str:
-    """Return words with the --set that an option like --voxel-size 0.05 may have meant."""
+def _meant(strange: list[str], argv: list[str], args: argparse.Namespace) -> str:
+    """Return words with the --set or the option that one like --voxel-size 0.05 may have meant."""
     hints = []
-    for option in (word for word in strange if word.startswith('--')):
+    for option in (word for word in strange if word.startswith('--') and len(word) > 2):
         word, equals, value = option.partition('=')
         tail = word[2:].replace('-', '_')
         if not equals:
             value = (argv[argv.index(option) + 1:] or ['--'])[0]
             value = 'VALUE' if value.startswith('--') else value
-        hints += [f'--set {name}={value}' for name, _, _ in settings()
-                  if tail in (name, name.rpartition('.')[2])]
+        if hasattr(args, 'set_items'):
+            hints += [f'--set {name}={value}{MEANS.get(name, "")}' for name, _, _ in settings()
+                      if tail in (name, name.rpartition('.')[2])]
+        hints += [f'{name} {value}{MEANS.get(name, "")}' if name in MEANS else name
+                  for name in args.parser.longer(word)]
     return f'; did you mean {" or ".join(hints)}?' if hints else ''
 
 

@@ -68,6 +68,13 @@ def test_usage_is_2(arguments, capsys):
      '; did you mean --set memory.max_voxels=5 or --set map.max_voxels=5?'),
     ('replay bag --out x --no-such 5', 'arguments: --no-such 5'),
     ('map info file --voxel-size 5', 'arguments: --voxel-size 5'),      # it has no --set
+    ('replay bag --method geometry --out x', '; did you mean --set refine.method=geometry (the map '
+     'and the pictures) or --methods geometry (rows of the table)?'),
+    ('evaluate bag --method=trust', '; did you mean --set refine.method=trust (the map and the '
+     'pictures) or --methods trust (rows of the table)?'),
+    ('build bag --method geometry --out x', '; did you mean --set refine.method=geometry (the map '
+     'and the pictures)?'),
+    ('replay bag --out x --forc', '; did you mean --force?'),
     ('repaly bag', ", did you mean 'replay'?"), ('map inof x', ", did you mean 'info'?")])
 def test_slips_are_usage_and_the_right_word_is_named(capsys, arguments, hint):
     assert cli.main(arguments.split()) == 2
