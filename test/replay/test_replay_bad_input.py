@@ -136,6 +136,11 @@ def test_a_recording_that_is_of_no_use_is_refused_in_one_line(persem, tmp_path, 
 @pytest.mark.parametrize('arguments, words', [
     (['--set', 'topics.labels=/semantic/imag'], ['/semantic/imag', '/semantic/image', '--set']),
     (['--set', 'topics.depth=/pose'], ['/pose', 'PoseStamped', '--set topics.depth=/depth/image']),
+    (['--set', 'labels.topic=/names'], [
+        "no names of classes on '/names' (--set labels.topic=/semantic/legend)"]),
+    (['--set', 'labels.topic=/pose'], [
+        "no names of classes on '/pose', which is of type geometry_msgs/msg/PoseStamped (--set "
+        'labels.topic=/semantic/legend)']),
     (['--set', 'pose.source=tf'], ['/tf'])])
 def test_topics_that_are_not_there_or_something_else(persem, recording, arguments, words):
     nothing_in(refused(persem(recording, *arguments), *words))

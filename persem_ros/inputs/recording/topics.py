@@ -13,7 +13,7 @@ from persem_ros.inputs.recording.candidates import Candidates, SHOWN
 from persem_ros.inputs.recording.first_messages import first_messages
 from persem_ros.inputs.recording.kinds import (
     IMAGE, INFO, LABELS_INFO, NEEDED, OPTIONAL, roles_of, TF)
-from persem_ros.settings.config import NO_TABLE, Topics, topics_of
+from persem_ros.settings.config import Labels, NO_TABLE, Topics, topics_of
 
 if TYPE_CHECKING:
     from persem_ros.inputs.recording.source import Source, TopicInfo
@@ -58,6 +58,7 @@ class Choice:
         self.problems: list[str] = []
         self.cameras = {name: self._camera(config, name)
                         for name in [n for n in config.cameras if n] or ['']}
+        self._refuse_names(config.labels.topic, filled)
 
     def tf_of(self, camera: str) -> list[TopicInfo]:
         """Return the topics with moving transforms of the robot that carries a camera."""
@@ -185,6 +186,18 @@ class Choice:
                     self.problems.append(f'{prefix}.{other} and {prefix}.{kind} are the same '
                                          f'topic, {chosen[kind].name}{flags}')
 
+    def _refuse_names(self, wanted: str, filled: list[TopicInfo]) -> None:
+        """Note a topic of class names that was typed and is none."""
+        usual = Labels().topic
+        if wanted in ('', NO_TABLE, usual) or any(_called(t, wanted) for t in self.legends):
+            return
+        exact = [t for t in self._topics if t.name.strip('/') == wanted.strip('/')]
+        why = '' if not exact else ', which has no messages' \
+            if exact[0].msgtype in legends.TYPES else f', which is of type {exact[0].msgtype}'
+        flags = ' or '.join(f'--set labels.topic={t.name}' for t in _legends(filled, usual)) or \
+            f'no other topic of that kind is there; without names: --set labels.topic={NO_TABLE}'
+        self.problems.append(f'no names of classes on {wanted!r}{why} ({flags})')
+
     def _find(self, kind: str, wanted: str) -> TopicInfo:
         """Return the topic for *wanted*; LookupError with what stands in the way."""
         types = self._candidates.types(kind)
@@ -232,8 +245,13 @@ def _legends(topics: list[TopicInfo], wanted: str) -> list[TopicInfo]:
     fitting = [t for t in topics if t.msgtype in legends.TYPES]
     ways: tuple[Callable[[TopicInfo], bool], ...] = (
             lambda t: t.name.strip('/') == wanted.strip('/'),
-            lambda t: t.name.endswith('/' + wanted.strip('/')),
+            lambda t: _called(t, wanted),
             lambda t: t.msgtype == legends.LABEL_INFO,
             lambda t: t.name.endswith('legend'),
             lambda t: t.name.endswith(('semantic_labels', 'label_info', '/labels')))
     return next(([t] for way in ways for t in fitting if way(t)), [])
+
+
+def _called(topic: TopicInfo, wanted: str) -> bool:
+    """Return whether a topic has the name that is wanted, in whatever namespace."""
+    return f'/{topic.name}'.endswith('/' + wanted.strip('/'))
