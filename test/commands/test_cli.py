@@ -68,7 +68,8 @@ def test_usage_is_2(arguments, capsys):
      '; did you mean --set memory.max_voxels=5 or --set map.max_voxels=5?'),
     ('replay bag --out x --no-such 5', 'arguments: --no-such 5'),
     ('map info file --voxel-size 5', 'arguments: --voxel-size 5'),      # it has no --set
-    ('replay bag --method geometry --out x', '; did you mean --set refine.method=geometry (the map '
+    ('replay bag --method geometry --out x',
+     '; did you mean --set refine.method=geometry (the map '
      'and the pictures) or --methods geometry (rows of the table)?'),
     ('evaluate bag --method=trust', '; did you mean --set refine.method=trust (the map and the '
      'pictures) or --methods trust (rows of the table)?'),
