@@ -74,7 +74,7 @@ class Replay:
         self.methods, self.watchers = tuple(methods), tuple(watchers)
         self.watch = timing.Stopwatch()
         self.legend = chosen_legend(config, recording)
-        self.advice = Advice(config, self.legend)
+        self.advice = Advice(config, self.legend, self.methods)
         self.mapped = mapped or Mapped(None, config, self.legend)
         self.pipeline = Pipeline(config, self.mapped.memory)
         self.renderer = Renderer(self.pipeline, self.methods)
@@ -250,7 +250,7 @@ class Replay:
                   'voxels': self.mapped.n_voxels, 'observations': memory.n_observations,
                   **self.metrics.result()}
         write_json(self.folder / 'metrics.json', result)
-        self.overruled = self.mapped.overruled()
+        self.overruled = self.mapped.overruled(self.renderer.labelled('geometry'))
         self.timing = timing.content(self.watch, self.frames, memory.nbytes())
         write_json(self.folder / 'timing.json', self.timing)
         for watcher in self.watchers:

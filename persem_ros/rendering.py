@@ -97,6 +97,10 @@ class Renderer:
         else:
             self._codes = regions(memory, settings.neighbours)[0]
 
+    def labelled(self, method: str) -> NDArray[np.uint16] | None:
+        """Return the last labels by voxel number of a method beside the map's own, if any."""
+        return self._labels.get(method)
+
     @property
     def codes(self) -> NDArray[np.uint8] | None:
         """Return the region codes by voxel number, as of the last render()."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.frames import IGNORED, MAX_ID, UNKNOWN
 from persem_ros.inputs.decode.legends import Table
-from persem_ros.inputs.naming import difference
+from persem_ros.inputs.naming import difference, outdated
 from persem_ros.settings.config import Config
 from persem_ros.settings.legend import Legend
 from persem_ros.settings.legend_class import LegendClass
@@ -67,7 +67,7 @@ class Names:
         self.legend = legend or Legend()
         self._given, self._strict = bool(legend and legend.classes), strict
         self._whose = whose or ('labels.legend' if config.labels.legend else "the map's legend")
-        self._said = ''
+        self._said, self._memory = '', config.memory
         self._reserved = {*config.memory.ignore_labels, *config.memory.dynamic_labels, UNKNOWN}
         self._ignored = {*config.memory.ignore_labels, UNKNOWN}
         self._stamped: list[_Known] = []        # by stamp
@@ -84,8 +84,10 @@ class Names:
         first, given = self._given and not (self._stamped or self._arrived), self.legend
         tables.insert(at, _Known(table, *self._renamed(table.legend)))
         if first and not self._strict:
-            self._said = difference(given, table.legend, tables[at].ids, self._ignored,
-                                    self._whose)
+            ids = tables[at].ids
+            said = (difference(given, table.legend, ids, self._ignored, self._whose),
+                    outdated(self._memory, given, table.legend, ids or {}))
+            self._said = '; '.join(filter(None, said))
         if len(tables) > KEPT:
             del tables[0]
             self._gone += stamp is None

@@ -3,7 +3,7 @@
 from collections.abc import Collection, Iterable, Mapping
 
 from persem_ros.guard.words import plain
-from persem_ros.settings.config import NO_TABLE
+from persem_ros.settings.config import Memory, NO_TABLE
 from persem_ros.settings.legend import Legend
 from persem_ros.settings.legend_class import LegendClass
 
@@ -48,6 +48,40 @@ def difference(given: Legend, theirs: Legend, ids: Mapping[int, int] | None,
         return ''
     return (f'{whose} and the recording name classes otherwise, ids stay as they are: '
             + _list(_called(item, called) for item in strange) + beside)
+
+
+def outdated(memory: Memory, ours: Legend, theirs: Legend, ids: Mapping[int, int]) -> str:
+    """
+    Return which ids in settings are another class's where ids followed their names, or ''.
+
+    memory.dynamic_labels are ids of the map; memory.ignore_labels are those of images, too, and
+    so may leave out two classes.
+
+    """
+    called = {item.id: item for item in ours.classes}
+    theirs_of = {item.id: item for item in theirs.classes}
+    found = []
+    for c in memory.dynamic_labels:
+        new = ids.get(c, c)
+        if c in theirs_of and new != c and new not in memory.dynamic_labels and not (
+                c in called and called[c].dynamic):     # then the map's id was meant
+            value = ','.join(str(ids.get(d, d)) for d in memory.dynamic_labels)
+            now = _quoted(called[c].name) if c in called else 'no class'
+            found.append(f'memory.dynamic_labels {c} is {now} now; '
+                         f'{_quoted(theirs_of[c].name)} is {new}: '
+                         f'--set memory.dynamic_labels={value}')
+    numbers = {item.name: item.id for item in ours.classes}
+    for c in memory.ignore_labels:
+        both = [item.name for item in theirs.classes if item.id != c and ids.get(item.id) == c]
+        if both and c in theirs_of and theirs_of[c].name not in (both[0], called[c].name):
+            new = numbers.get(theirs_of[c].name, c)
+            value = ','.join(str(new if d == c else d) for d in memory.ignore_labels)
+            found.append(
+                f'memory.ignore_labels {c} is {_quoted(both[0])} now, which is left out beside '
+                f'{_quoted(theirs_of[c].name)}' + (
+                    f'; {_quoted(theirs_of[c].name)} is {new}: --set memory.ignore_labels={value}'
+                    if new != c and new not in theirs_of else ''))
+    return '; '.join(found)
 
 
 def _called(item: LegendClass, called: Mapping[int, str]) -> str:

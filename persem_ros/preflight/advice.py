@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.frames import MAX_ID
+from persem_ros.preflight.heights import about_heights, about_overruled
 from persem_ros.preflight.voxel_fit import VoxelFit
-from persem_ros.settings import heights
 
 if TYPE_CHECKING:
     from persem_ros.core.geometry.overruled import Overruled
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from persem_ros.settings.legend import Legend
 
 SIGNED = ('16SC1', '32SC1')     # encodings with ids that are out of range and not "no label"
+IDS = 20                        # in a sentence
 COARSE = 0.05                   # share of a voxel to which map points should be exact
 
 
@@ -31,11 +32,16 @@ class Advice:
     ----------
     config : Config
     legend : Legend
+    methods : sequence of str
+        What is measured besides refine.method.
 
     """
 
-    def __init__(self, config: Config, legend: Legend) -> None:
+    def __init__(self, config: Config, legend: Legend, methods: Sequence[str] = ()) -> None:
         self._config, self._legend = config, legend
+        self._methods = {*methods, config.refine.method}
+        # Ids of things that move that no legend knows and no image has had so far.
+        self._unmet = {c for c in config.memory.dynamic_labels if c >= 0 and c not in legend.ids}
         self._odd: Counter[str] = Counter()
         self._far: NDArray[np.float64] | None = None
         self._fit = VoxelFit(config.memory)
@@ -44,6 +50,7 @@ class Advice:
         """Look at one that was integrated, a persem_ros.frames.Frame."""
         if frame.encoding in SIGNED:
             self._count(frame.labels)
+        self._unmet = {c for c in self._unmet if not (frame.labels == c).any()}
         self._fit.frame(frame)
         position = frame.T_map_camera[:3, 3]
         if self._far is None and self._step(position) > COARSE * self._config.memory.voxel_size:
@@ -62,8 +69,9 @@ class Advice:
             What heights did to the votes, where that is known.
 
         """
-        return [*self._about_ids(), *self._about_flags(seen_ids), *self._about_heights(seen_ids),
-                *self._about_overruled(overruled), *self._about_places()]
+        return [*self._about_ids(), *self._about_flags(seen_ids),
+                *about_heights(self._config, self._legend, self._methods, seen_ids),
+                *about_overruled(self._config, self._legend, overruled), *self._about_places()]
 
     def about_voxels(self, memory: VoxelMemory, voxels: int) -> list[str]:
         """Return what there is to say of the voxels' size, so many in the whole map."""
@@ -84,7 +92,14 @@ class Advice:
     def _about_flags(self, seen_ids: NDArray[np.uint8]) -> Iterator[str]:
         """Compare the legend's flags with the settings, as far as the ids occur."""
         memory = self._config.memory
-        dynamic = tuple(c for c in memory.dynamic_labels if c >= 0)
+        dynamic = tuple(c for c in memory.dynamic_labels if c >= 0 and c not in self._unmet)
+        if self._unmet:
+            ids = np.flatnonzero(seen_ids).tolist()
+            there = ', '.join(f'{c} ({self._legend.name(c)})' for c in ids[:IDS])
+            more = f' and {len(ids) - IDS} more' if len(ids) > IDS else ''
+            yield (f'memory.dynamic_labels {", ".join(map(str, sorted(self._unmet)))}: no label '
+                   'image has such ids and no legend knows them; expected ids that occur: '
+                   f'{there}{more}')
         for flag, name, given in (('dynamic', 'dynamic_labels', dynamic),
                                   ('ignored', 'ignore_labels', memory.ignore_labels)):
             marked = [c for c in getattr(self._legend, flag) if seen_ids[c]]
@@ -93,36 +108,6 @@ class Advice:
                 value = ','.join(str(c) for c in (*given, *marked))
                 yield (f'the legend marks {names} as {flag}, the map holds what was seen of it; '
                        f'to leave it out: --set memory.{name}={value}')
-
-    def _about_heights(self, seen_ids: NDArray[np.uint8]) -> Iterator[str]:
-        """Say that heights count for the method geometry, and of which classes in vain."""
-        refine, size = self._config.refine, self._config.memory.voxel_size
-        spans = heights.parsed(refine.geometry.heights) if refine.method == 'geometry' else ()
-        here = [(self._legend.name(c), low * size, high * size)
-                for c, low, high in spans if seen_ids[c]]
-        if here:
-            said = ', '.join(f'{name} {low:.3g} to {high:.3g} m' for name, low, high in here[:5])
-            said += f' and {len(here) - 5} more classes' if len(here) > 5 else ''
-            yield (f'geometry goes by the heights of {said} above the ground; without them: '
-                   f'--set {heights.NAME}={heights.NONE}')
-        missing = [str(c) for c, _, _ in spans if not seen_ids[c]]
-        if missing and (not here or not refine.geometry.heights.startswith(heights.OF_LEGEND)):
-            yield (f'{heights.NAME} or the legend give heights of classes that do not occur: '
-                   f'{", ".join(missing)}; expected ids of the recording, persem info prints them')
-
-    def _about_overruled(self, overruled: Iterable[Overruled]) -> Iterator[str]:
-        """Name the classes whose heights the map contradicts."""
-        size = self._config.memory.voxel_size
-        found = [f'{self._legend.name(one.label)} {one.low * size:.3g} to {one.high * size:.3g} m '
-                 f'({one.out / one.voxels:.0%} of its voxels by votes lie beyond, '
-                 f'{one.kept / one.out:.0%} of these keep the name)'
-                 for one in overruled if one.doubtful]
-        if found:
-            more = f' and {len(found) - 5} more classes' if len(found) > 5 else ''
-            yield (f'the votes contradict the heights of {", ".join(found[:5])}{more}: expected '
-                   'metres above the ground, with a metre or two to spare, of the right class '
-                   '(or most labels of it are wrong); without them: '
-                   f'--set {heights.NAME}={heights.NONE}')
 
     def _about_places(self) -> Iterator[str]:
         if self._far is not None:

@@ -43,6 +43,25 @@ def test_names_that_differ_alone_are_said():
         "is 'street', 5 'car' has no name; in labels.legend only: 2 'street', 9 'house'")
 
 
+def test_ids_of_settings_that_are_other_classes_now_are_said():
+    given, theirs = {'sky': 10, 'vehicle': 25}, {'vehicle': 10, 'sky': 3}
+    told = said(given, theirs, **{'memory.dynamic_labels': (10, 4)})
+    assert told.endswith("labels.topic=none; memory.dynamic_labels 10 is 'sky' now; 'vehicle' is "
+                         '25: --set memory.dynamic_labels=25,4')
+    told = said(given, theirs, **{'memory.ignore_labels': (10, 65535)})
+    assert told.endswith("memory.ignore_labels 10 is 'sky' now, which is left out beside "
+                         "'vehicle'; 'vehicle' is 25: --set memory.ignore_labels=25,65535")
+
+
+@pytest.mark.parametrize('setting, ids', [('dynamic_labels', (25,)), ('dynamic_labels', (-1,)),
+                                          ('ignore_labels', (255, 65535)),
+                                          ('ignore_labels', (25, 65535))])
+def test_ids_of_settings_that_fit_are_not_spoken_of(setting, ids):
+    told = said({'sky': 10, 'vehicle': 25}, {'vehicle': 10, 'sky': 3},
+                **{f'memory.{setting}': ids})
+    assert 'ids follow' in told and 'memory.' not in told
+
+
 @pytest.mark.parametrize('given, theirs', [
     ({'tree': 1, 'road': 2}, {'tree': 1, 'road': 2}), ({'tree': 1, 'road': 2}, {'tree': 1}),
     ({'tree': 1}, {'tree': 1, 'nothing': 255})])

@@ -521,6 +521,14 @@ def test_flags_of_the_legend_are_proposed_and_never_applied(recording, tmp_path,
     assert not caplog.records
 
 
+def test_ids_of_things_that_move_that_never_occur_are_said(recording, tmp_path, caplog):
+    run(recording, tmp_path / 'a', config_of({'memory.dynamic_labels': [77]}))
+    never, flag = [r.getMessage() for r in caplog.records]
+    assert never.startswith('memory.dynamic_labels 77: no label image has such ids and no legend '
+                            'knows them; expected ids that occur: ') and '9 (moving)' in never
+    assert flag.endswith('--set memory.dynamic_labels=9')
+
+
 def test_heights_that_the_legend_gives_count_as_if_they_were_set(recording, tmp_path):
     told = Legend.from_yaml(LEGEND.to_yaml().replace('id: 3,', 'id: 3, height: [1, 10],'))
     own = worlds.write(tmp_path / 'wall', legend=told.to_yaml())
@@ -541,6 +549,9 @@ def test_heights_that_the_votes_contradict_are_said(tmp_path, caplog, monkeypatc
     monkeypatch.setattr('persem_ros.core.geometry.overruled.FEW', 10)
     told = Legend.from_yaml(LEGEND.to_yaml().replace('id: 3,', 'id: 3, height: [60, 70],'))
     path = worlds.write(tmp_path / 'wall', legend=told.to_yaml())
+    replay(path, tmp_path / 'row', config_of(), ['geometry'], report=False)
+    assert 'the votes contradict the heights of' in caplog.text     # by a row of the table
+    caplog.clear()
     replay(path, tmp_path / 'out', config_of({'refine.method': 'geometry'}))
     assert 'the votes contradict the heights of' in caplog.text
     assert ('60 to 70 m above the ground: 100.0% of its' in

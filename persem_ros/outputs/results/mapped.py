@@ -94,12 +94,20 @@ class Mapped:
                         dict(zip(*(a.tolist() for a in labels))),
                         np.bincount(columns['source'], minlength=len(SOURCES)))
 
-    def overruled(self) -> list[Overruled]:
-        """Return what heights of classes do to their votes, where a map in memory goes by any."""
+    def overruled(self, labels: NDArray[np.uint16] | None = None) -> list[Overruled]:
+        """
+        Return what heights of classes do to their votes, where a map in memory goes by any.
+
+        labels, by voxel number, are those of geometry where the map's own are of another method.
+
+        """
         refine = self.config.refine
-        if refine.method != 'geometry' or not refine.geometry.heights:
+        if not refine.geometry.heights or refine.method != 'geometry' and labels is None:
             return []
-        return overruled(self.memory.columns(), refine)
+        columns = self.memory.columns()
+        if labels is not None:
+            columns['label'] = labels[columns['number']]
+        return overruled(columns, refine)
 
     def comments(self) -> list[str]:
         """Return the lines in the header of map.ply."""
