@@ -51,6 +51,7 @@ def _report(bag: str, args: Namespace, config: Config) -> bool:
     from persem_ros.preflight import contents, contents_text, recorded
     from persem_ros.preflight.files import cut, part
     from persem_ros.preflight.findings import of_severity, REFUSE, WARN
+    from persem_ros.preflight.labels import ids_in
     from persem_ros.preflight.look import look, takes_of
     from persem_ros.preflight.stamps import usable
     from tqdm import tqdm
@@ -62,12 +63,13 @@ def _report(bag: str, args: Namespace, config: Config) -> bool:
             it, total=total, unit=' messages', leave=False, dynamic_ncols=True,
             disable=not sys.stderr.isatty()))
         choice = Choice(source, config)
-        found, counts, excerpt = [], [], excerpt_of(args)
+        found, counts, ids, excerpt = [], [], [], excerpt_of(args)
         if not choice.problems:
             sample = recorded.sample(source, choice, config)
             if excerpt != WHOLE:
                 cut(sample, excerpt)
             found = look(sample)
+            ids = ids_in(sample)
             counts = [usable(view, sample) for view in sample.views]
         if excerpt != WHOLE and not choice.problems and not of_severity(found, REFUSE):
             found.append(part(source, sample.config, excerpt))
@@ -80,6 +82,7 @@ def _report(bag: str, args: Namespace, config: Config) -> bool:
         words = excerpt.words() + words
         proposed = {k: v for f in of_severity(found, WARN) for k, v in f.proposal.items()}
         warned = [word for item in proposed.items() for word in ('--set', '='.join(item))]
-        print(contents_text.text(source, rows, choice, lacking, found, counts, words, warned),
+        print(contents_text.text(source, rows, choice, lacking, found, counts, words, warned,
+                                 ids),
               end='')
     return bool(lacking)

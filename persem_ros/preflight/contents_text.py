@@ -21,7 +21,8 @@ PLAUSIBLE = range(10**17, 10**19)      # ns since 1970 that are dates; others ar
 
 def text(source: Source, rows: Sequence[Row], choice: Choice, lacking: Sequence[str],
          found: Sequence[Finding] = (), counts: Sequence[tuple[int, int]] = (),
-         words: Sequence[str] = (), warned: Sequence[str] = ()) -> str:
+         words: Sequence[str] = (), warned: Sequence[str] = (),
+         ids: Sequence[str] = ()) -> str:
     """
     Return the report.
 
@@ -39,6 +40,8 @@ def text(source: Source, rows: Sequence[Row], choice: Choice, lacking: Sequence[
         The options of the replay, '--set', 'a=b', ….
     warned
         What the warnings propose besides.
+    ids
+        Lines that name the ids of each camera's labels.
 
     Returns
     -------
@@ -64,6 +67,7 @@ def text(source: Source, rows: Sequence[Row], choice: Choice, lacking: Sequence[
     lines += [f'  {kind:<12} {topic.name}' for kind, topics in (
         ('tf', choice.tf if 'pose' not in next(iter(choice.cameras.values())) else []),
         ('tf_static', choice.tf_static), ('legend', choice.legends)) for topic in topics]
+    lines += ids
     lines += [f'{f.severity}: {f.text()}' for f in of_severity(found, NOTE, WARN)]
     lines += [f'{used} of {total} label images find depth and pose' for used, total in counts]
     lines += [f'missing: {sentence}' for sentence in lacking]

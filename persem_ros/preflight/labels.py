@@ -1,6 +1,7 @@
 """Label images: whether they can be read as ids, and whether they fit the depth."""
 
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from persem_ros.settings.legend import Legend
 
 SOME = 0.01     # share of pixels whose id is no class
 FEW, MANY = 8, 100      # different ids
+SHOWN = 40      # ids in a line
 ODD = 0.5       # share of pixels whose id is no class: no labels at all
 
 
@@ -28,13 +30,37 @@ def check(sample: Sample) -> Iterator[Finding]:
         yield from _view(view, sample.config, sample.legend)
 
 
+def ids_in(sample: Sample) -> list[str]:
+    """Return which ids the first label images of each camera have and what they are called."""
+    lines = []
+    for view in sample.views:
+        reader, seen = LabelReader(sample.config.labels), []
+        for msg in view.firsts.get('labels', ()):
+            with suppress(BadMessage):
+                seen.append(_read(msg, sample.config, sample.legend, reader))
+        legend = sample.own_legend or Legend()
+        ids = sorted({c for image in seen for c in np.unique(image).tolist()})
+        words = [f'{c} {legend.name(c)}' if c in legend.ids else str(c) for c in ids]
+        more = f' and {len(words) - SHOWN} more' if len(words) > SHOWN else ''
+        lines.append(f'ids in {len(seen)} label images on {view.topics["labels"]}: '
+                     f'{", ".join(words[:SHOWN])}{more}')
+    return lines
+
+
+def _read(msg: Any, config: Config, legend: Legend | None, reader: LabelReader
+          ) -> NDArray[np.int32]:
+    """Return the ids of a label image or a labelled cloud."""
+    if is_cloud(msg):
+        return clouds.labels(clouds.structured(msg), config.points.label_field)
+    return reader(msg, legend)[0]
+
+
 def _view(view: View, config: Config, legend: Legend | None) -> Iterator[Finding]:
     faults, sizes, seen = [], [], []
     reader = LabelReader(config.labels)
     for msg in view.firsts.get('labels', ()):
         try:
-            ids = clouds.labels(clouds.structured(msg), config.points.label_field) \
-                if is_cloud(msg) else reader(msg, legend)[0]
+            ids = _read(msg, config, legend, reader)
             sizes.append(ids.shape)
             seen.append(ids)
         except BadMessage as fault:

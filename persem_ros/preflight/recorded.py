@@ -48,7 +48,8 @@ def sample(source: Source, choice: Choice, config: Config) -> Sample:
     """
     once = latched.read(source, choice)
     given = config.labels.legend
-    legend = names.filled(config, load_legend(given) if given else None, once.tables).legend
+    classes = names.filled(config, load_legend(given) if given else None, once.tables)
+    own = names.filled(config, None, once.tables).legend if classes.changes else classes.legend
     roles: dict[str, list[tuple[str, Any]]] = {}
     found = {}
     for name, chosen in choice.cameras.items():
@@ -71,7 +72,7 @@ def sample(source: Source, choice: Choice, config: Config) -> Sample:
     trees = {name: _trees(source, choice.tf_of(name), choice.tf_static_of(name))
              for name in choice.cameras}
     infos = _infos(source)
-    return Sample(config, views, legend=legend, tf=trees,
+    return Sample(config, views, legend=classes.legend, own_legend=own, tf=trees,
                   info_frames={name: messages.frame_id(msg) for name, msg in infos.items()},
                   stereo={name: -float(msg.p[3]) for name, msg in infos.items() if msg.p[3] < 0})
 

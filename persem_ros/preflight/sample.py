@@ -119,6 +119,8 @@ class Sample:
         Focal length x baseline, pixels x metres, of the topics with camera infos that say it.
     legend : Legend, optional
         Whose colours the label images may have.
+    own_legend : Legend, optional
+        What the recorded ids are called: another one where ids follow their names.
     tf : dict of str to dict of str to set of str
         By camera: the frames in the transforms of each namespace that could be its robot's.
 
@@ -130,4 +132,5 @@ class Sample:
     info_frames: Mapping[str, str] = field(default_factory=dict)
     stereo: Mapping[str, float] = field(default_factory=dict)
     legend: Legend | None = None
+    own_legend: Legend | None = None
     tf: Mapping[str, Mapping[str, set[str]]] = field(default_factory=dict)

@@ -45,6 +45,18 @@ def test_the_table(tmp_path, capsys, storage):
     assert report(capsys, tmp_path / 'bag', '--set', 'topics.pose=odometry')[0] == 0
 
 
+@pytest.mark.parametrize('words', [(), ('--set', 'labels.legend=FILE')])
+def test_ids_are_printed_with_their_names_in_the_recording(tmp_path, capsys, words):
+    ids = np.unique([bags.labels(i) for i in (0, 1, 2)]).tolist()
+    text = f'classes: [{{id: {ids[0]}, name: tree}}, {{id: 900, name: roof}}]'
+    (tmp_path / 'file').write_text('classes: [{id: 77, name: tree}]')
+    bags.write(tmp_path / 'bag', extra=lambda out: out.text('semantic/legend', text, latched=True))
+    status, out = report(capsys, tmp_path / 'bag',
+                         *(word.replace('FILE', str(tmp_path / 'file')) for word in words))
+    line, = [line for line in out.splitlines() if line.startswith('ids in ')]
+    assert status == 0 and f'label images on /semantic/image: {ids[0]} tree, {ids[1]}, ' in line
+
+
 def test_what_warnings_propose_is_printed_as_a_command(tmp_path, capsys):
     with RecordingWriter(tmp_path / 'bag') as out:
         for i in range(5):
