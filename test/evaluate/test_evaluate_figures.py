@@ -1,12 +1,15 @@
 """Figures and report of an evaluation: all there, readable, escaped, the same every time."""
 
 from html.parser import HTMLParser
+from types import SimpleNamespace
 
 import cv2
+import numpy as np
 from persem_ros import cli
 from persem_ros.errors import PersemError
 from persem_ros.evaluate import run
-from persem_ros.evaluate.show import page, style
+from persem_ros.evaluate.show import page, style, summary_figures
+from persem_ros.evaluate.work.pictures import Panels
 from persem_ros.evaluate.work.task import ALL_METHODS
 from persem_ros.settings.config import Config
 import pytest
@@ -65,6 +68,42 @@ def test_all_figures_are_there_and_not_empty(folder):
     images = {path.name: cv2.imread(str(path)) for path in (folder / 'figures').glob('*.png')}
     assert [name for name, image in images.items()
             if not (image.std() > 5 and min(image.shape[:2]) > 100)] == []
+
+
+def test_the_best_method_is_at_the_top(folder):
+    rows = {m: {'miou': v, 'flicker': f} for m, v, f in (
+        ('raw2d', 90, 1), ('majority', 50, 3), ('persem', 51, 9), ('geometry', 60, 4))}
+    assert page._best(rows) == 'geometry'
+    assert page._best({m: {**row, 'miou': None} for m, row in rows.items()}) == 'majority'
+    assert page._best({'raw2d': {'miou': None, 'flicker': None}}) == 'raw2d'
+
+
+def test_pictures_are_spread_over_the_flight():
+    sequence = SimpleNamespace(frames=100, methods=['raw2d'], images=['raw2d'])
+    panels = Panels(sequence, SimpleNamespace(classes=np.zeros((2, 0), np.uint8), of=None,
+                                              codes=np.zeros(2)))
+    panels._differ, panels._kinds = np.array([False, True]), SimpleNamespace(of=np.array([0, 1]))
+    panels._panels = lambda *_: {'truth': np.zeros(1)}
+    for number in range(100):       # they differ most at 40 to 60
+        differing = np.arange(100) < 50 - abs(number - 50)
+        panels.offer(None, None, None, differing.astype(np.int32), [])
+    assert [int(key.split('/')[1]) for key in panels.arrays()] == [18, 43, 56, 81]
+
+
+def test_a_far_geometry_leaves_the_others_readable():
+    rows = {'majority': {'miou': 59.5, 'flicker': 17.2}, 'persem': {'miou': 60, 'flicker': 17.1}}
+    assert summary_figures._heaped({**rows, 'geometry': {'miou': 67, 'flicker': 15.7}})
+    assert not summary_figures._heaped({**rows, 'geometry': {'miou': 60.5, 'flicker': 17}})
+    assert not summary_figures._heaped(rows)
+
+
+def test_nothing_differs_from_majority_alone(tmp_path, capsys):
+    one = worlds.write(tmp_path / 'one')
+    assert cli.main(['evaluate', str(one), '--methods', 'majority', '--workers', '1', '--out',
+                     str(tmp_path / 'out')]) == 0
+    assert 'Difference from' not in capsys.readouterr().out
+    assert not (tmp_path / 'out' / 'figures' / 'differences.svg').exists()
+    assert 'map of majority from above' in (tmp_path / 'out' / 'report.html').read_text()
 
 
 def test_page_is_whole_and_escaped(folder):

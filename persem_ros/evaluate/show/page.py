@@ -13,7 +13,7 @@ from persem_ros.evaluate.show.paper_tables import tables
 from persem_ros.outputs.files import write_text
 from persem_ros.outputs.report import page
 from persem_ros.outputs.report.png import data_uri
-from persem_ros.settings.config import settings
+from persem_ros.settings.config import IMAGE_METHODS, settings
 from persem_ros.settings.legend import Legend
 
 if TYPE_CHECKING:
@@ -109,10 +109,10 @@ def figure(name: str, caption: str, images: dict[str, bytes]) -> dict[str, str]:
 
 
 def _cards(evaluation: dict[str, Any]) -> tuple[str, list[dict[str, float | str | None]]]:
-    """Return the three numbers at the top: the first method, majority and the last."""
+    """Return the three numbers at the top: of raw2d and of the best method."""
     rows = evaluation['macro']['all']['methods']
     before = rows.get('raw2d')
-    name = 'persem' if 'persem' in rows else list(rows)[-1]
+    name = _best(rows)
     return name, [{'title': title, 'before': before and before[key], 'after': rows[name][key],
                    'gain': None if not before or before[key] is None else
                    sign * (rows[name][key] - before[key]),
@@ -120,3 +120,14 @@ def _cards(evaluation: dict[str, Any]) -> tuple[str, list[dict[str, float | str 
                    if key == 'flicker' else None}
                   for key, title, sign in (('pixel_accuracy', 'pixel accuracy', 1),
                                            ('miou', 'mean IoU', 1), ('flicker', 'flicker', -1))]
+
+
+def _best(rows: dict[str, dict[str, float | None]]) -> str:
+    """Return the method on voxels with the highest mean IoU, or the least flicker, or the last."""
+    names = [name for name in rows if name not in IMAGE_METHODS] or list(rows)
+    for key, sign in (('miou', 1), ('flicker', -1)):
+        known = {name: sign * value for name in names
+                 if (value := rows[name][key]) is not None}
+        if known:
+            return max(known, key=lambda name: known[name])
+    return names[-1]

@@ -32,8 +32,9 @@ def tables(evaluation: dict[str, Any]) -> list[Table]:
     if several:
         found.append(by_sequence(evaluation))
     found += [gains(evaluation, base) for base in ('majority', 'raw2d')
-              if base in evaluation['differences']]
-    if len(evaluation['sequences']) >= FEWEST and 'majority' in evaluation['differences']:
+              if evaluation['differences'].get(base, {}).get('all')]
+    if len(evaluation['sequences']) >= FEWEST and \
+            evaluation['differences'].get('majority', {}).get('all'):
         found.append(between(evaluation))
     if evaluation['macro']['all']['sequences']:
         found.append(by_class(evaluation))

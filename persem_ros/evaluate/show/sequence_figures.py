@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from persem_ros.settings.legend import Legend
 
-LINES = ('raw2d', 'ema2d', 'majority', 'persem')
-MATRICES = ('raw2d', 'majority', 'persem')
+LINES = ('raw2d', 'ema2d', 'majority', 'persem', 'geometry')
+MATRICES = ('raw2d', 'majority', 'persem', 'geometry')
 SMOOTH = 0.04           # of the sequence: window of the running mean of flicker
 PALE = (222, 226, 230)  # what the majority decided
 CELLS = 144             # confusion matrices with more are drawn without numbers
@@ -29,7 +29,9 @@ def figures(name: str, summary: dict[str, Any], arrays: dict[str, NDArray[Any]],
             legend: Legend) -> Iterator[tuple[str, str, Figure]]:
     """Yield (name, caption, figure) of one sequence; legend: names and colours of ids."""
     if any(key.startswith('panel/') for key in arrays):
-        yield (f'panels-{name}', 'Frames in which the methods differ most. Black: no label.',
+        yield (f'panels-{name}', 'Of each part of the flight a frame in which the methods differ '
+               'much. Black: no label; methods on voxels are measured and shown without what a '
+               "published image has there, the input's label (render.fill).",
                panels(arrays, legend))
     if len(arrays['frame/stamp']) > 2:
         yield (f'flicker-{name}', 'Pixels that change from one frame to the next, running mean.',
@@ -38,8 +40,9 @@ def figures(name: str, summary: dict[str, Any], arrays: dict[str, NDArray[Any]],
         yield (f'confusion-{name}', 'Where the pixels of each true class (row) went, percent.',
                confusion(summary, arrays))
     if 'top/label' in arrays:
-        yield (f'map-{name}', 'The map from above, top-most voxels; what the '
-               'refinement changed is drawn larger than it is.', top(arrays, legend))
+        yield (f'map-{name}', f'The map of {summary["map_method"]} from above, top-most voxels; '
+               'what the refinement changed is drawn larger than it is.',
+               top(arrays, legend, summary['map_method']))
 
 
 def panels(arrays: dict[str, NDArray[Any]], legend: Legend) -> Figure:
@@ -90,7 +93,7 @@ def flicker(summary: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Figure:
     axes.set(xlabel='time, s', ylabel=WORDS['flicker'])
     axes.set_ylim(bottom=0)
     axes.margins(x=0.01)
-    figure.legend(loc='outside upper right', ncols=5)
+    figure.legend(loc='outside upper right', ncols=6)
     return figure
 
 
@@ -119,8 +122,8 @@ def confusion(summary: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Figur
     return figure
 
 
-def top(arrays: dict[str, NDArray[Any]], legend: Legend) -> Figure:
-    """Draw the map from above by label, source, entropy and switch rate."""
+def top(arrays: dict[str, NDArray[Any]], legend: Legend, method: str) -> Figure:
+    """Draw the map of a method from above by label, source, entropy and switch rate."""
     label, extent = arrays['top/label'], arrays['top/extent']
     known = label != UNKNOWN
     height = 3.6 * np.clip(label.shape[0] / label.shape[1], 0.4, 1.6)
@@ -128,8 +131,8 @@ def top(arrays: dict[str, NDArray[Any]], legend: Legend) -> Figure:
     axes = figure.subplots(2, 2, sharex=True, sharey=True).ravel()
     colors = np.array([PALE, *SOURCE_COLORS[1:]], np.uint8)
     source = colors[cv2.dilate(arrays['top/source'], np.ones((3, 3), np.uint8))]
-    views = [('label', painted(label, legend)),
-             ('source', np.where(known[..., None], source, 255))]
+    views = [(f'label by {method}', np.where(known[..., None], painted(label, legend), 255)),
+             (f'what decided, by {method}', np.where(known[..., None], source, 255))]
     for a, (title, image) in zip(axes, views):
         a.imshow(image, extent=extent, interpolation='nearest')
         a.set_title(title)
@@ -142,9 +145,10 @@ def top(arrays: dict[str, NDArray[Any]], legend: Legend) -> Figure:
     for a in axes:
         a.grid(False)
         a.set_aspect('equal')
+        a.set_xlabel('x, m' if a in axes[2:] else '')
         a.set_ylabel('y, m' if a in axes[::2] else '')
     axes[1].legend(handles=[Patch(color=tuple(c / 255), label=name) for name, c in zip(
-        SOURCES, colors)], fontsize=7, loc='best', frameon=True)
+        SOURCES, colors)], fontsize=7, loc='upper left', bbox_to_anchor=(1.01, 1))
     _key(figure, np.unique(label[known]).tolist(), legend)
     return figure
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, TYPE_CHECKING
 
+from matplotlib.ticker import MaxNLocator
 import numpy as np
 from persem_ros.evaluate.measure.combine import mean
 from persem_ros.evaluate.measure.counts import PLACES
@@ -16,17 +17,19 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-CLASSES_SHOWN = ('raw2d', 'ema2d', 'majority', 'persem')
+CLASSES_SHOWN = ('raw2d', 'majority', 'persem', 'geometry')
+HEAP = 2.0      # spans of the other methods on voxels: with geometry further away they are a heap
 
 
 def figures(evaluation: dict[str, Any]) -> Iterator[tuple[str, str, Figure]]:
     """Yield (name, caption, figure) of what the evaluation allows."""
     if evaluation['macro']['all']['sequences']:
         yield ('tradeoff', 'Stability against correctness: the better, the further to the upper '
-               'left. The small axes show the methods on voxels alone; the dashed line is the '
-               "truth's own flicker.", tradeoff(evaluation))
+               'left. The axes on the right show the methods on voxels alone, without geometry '
+               "where it is far from all others; the dashed line is the truth's own flicker.",
+               tradeoff(evaluation))
     for base in ('majority',):
-        if base in evaluation['differences']:
+        if evaluation['differences'].get(base, {}).get('all'):
             yield ('differences', f'Differences from {base} with their intervals; filled: the '
                    'interval leaves out zero.', differences(evaluation, base))
     if {'majority', 'persem'} <= set(evaluation['methods']):
@@ -42,16 +45,21 @@ def tradeoff(evaluation: dict[str, Any]) -> Figure:
     rows = {name: row for name, row in evaluation['macro']['all']['methods'].items()
             if row['miou'] is not None and row['flicker'] is not None}
     inside = {name: row for name, row in rows.items() if name not in ('raw2d', 'ema2d')}
+    beyond = _heaped(inside)
+    inside = {name: row for name, row in inside.items() if not (beyond and name == 'geometry')}
     views = [rows, inside] if 1 < len(inside) < len(rows) else [rows]
     figure = new_figure(4.7 * len(views), 3.9)
     for axes, shown, title in zip(figure.subplots(1, len(views), squeeze=False)[0], views,
-                                  ('all methods', 'methods on voxels')):
+                                  ('all methods', 'methods on voxels' + (
+                                      ', without geometry' if beyond else ''))):
         for name, row in shown.items():
             color, marker = STYLES[name]
             axes.plot(row['flicker'], row['miou'], marker, color=color, label=name,
                       markersize=13 if marker == '*' else 7, markeredgecolor='white', zorder=3)
         axes.set(xlabel=WORDS['flicker'], ylabel=WORDS['miou'], title=title)
         axes.margins(0.12)
+        axes.xaxis.set_major_locator(MaxNLocator(5))
+        axes.yaxis.set_major_locator(MaxNLocator(6))
         floor = evaluation['macro']['all']['truth_flicker']
         if floor is not None and (shown is rows):
             axes.axvline(floor, color=SOFT, linestyle='--', linewidth=1)
@@ -60,6 +68,18 @@ def tradeoff(evaluation: dict[str, Any]) -> Figure:
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc='outside right center', markerscale=0.8)
     return figure
+
+
+def _heaped(rows: dict[str, dict[str, float]]) -> bool:
+    """Return whether geometry is so far from all others that these would lie in a heap."""
+    others = [row for name, row in rows.items() if name != 'geometry']
+    if 'geometry' not in rows or len(others) < 2:
+        return False
+    for key in ('miou', 'flicker'):
+        low, high = min(row[key] for row in others), max(row[key] for row in others)
+        if not low - HEAP * (high - low) <= rows['geometry'][key] <= high + HEAP * (high - low):
+            return True
+    return False
 
 
 def differences(evaluation: dict[str, Any], base: str) -> Figure:

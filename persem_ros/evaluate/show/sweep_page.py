@@ -46,7 +46,7 @@ def figures(result: dict[str, Any]) -> Iterator[tuple[str, str, Figure]]:
         for method in result['methods']:
             if method not in ('raw2d', 'ema2d'):
                 yield (f'heat-{method}', f'{method} over {axes[0]} and {axes[1]}, mean of the '
-                       'sequences.', heat(result, axes, method))
+                       'sequences; the brighter, the better.', heat(result, axes, method))
 
 
 def curves(result: dict[str, Any], name: str) -> Figure:
@@ -88,11 +88,15 @@ def heat(result: dict[str, Any], names: list[str], method: str) -> Figure:
     """Draw one method over two settings."""
     from persem_ros.evaluate.show.style import new_figure, WORDS
     rows, columns = (result['axes'][name] for name in names)
-    figure = new_figure(max(8.0, 1.6 * len(columns) + 3), max(2.6, 0.42 * len(rows) + 1.5))
+    figure = new_figure(max(8.0, 1.6 * len(columns) + 3), max(3.2, 0.42 * len(rows) + 2.1))
     for axes, key in zip(figure.subplots(1, 3, sharey=True), MEASURES):
         grid = np.array(_series(result, lambda p: p['mean']['methods'][method][key])).reshape(
             len(rows), len(columns))
-        axes.imshow(grid, cmap='viridis' if BETTER[key] > 0 else 'viridis_r', aspect='auto')
+        drawn = axes.imshow(grid, cmap='viridis' if BETTER[key] > 0 else 'viridis_r',
+                            aspect='auto')
+        bar = figure.colorbar(drawn, ax=axes, location='bottom', shrink=0.8)
+        if BETTER[key] < 0:
+            bar.ax.invert_xaxis()       # bright, the better, is to the right of all
         axes.grid(False)
         axes.set_title(WORDS[key])
         middle = np.nanmean([np.nanmin(grid), np.nanmax(grid)]) if np.isfinite(grid).any() else 0

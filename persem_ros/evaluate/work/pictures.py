@@ -1,8 +1,7 @@
-"""What the figures show of a sequence: frames where methods differ most, the map from above."""
+"""What the figures show of a sequence: frames where methods differ, the map from above."""
 
 from __future__ import annotations
 
-import heapq
 from typing import Any, TYPE_CHECKING
 
 import cv2
@@ -16,16 +15,16 @@ if TYPE_CHECKING:
     from persem_ros.evaluate.work.sequence import Sequence
     from persem_ros.frames import Frame
 
-FRAMES = 4          # kept
+FRAMES = 4          # kept, one of each part of the flight
 WIDTH = 480         # of a panel, pixels, at most
-APART = 0.04        # of the sequence: frames nearer to each other show the same
+EDGE = 0.25         # of a part, at each end: frames there show what those of the next part do
 CELLS = 700         # of the map from above, along its longer side, at most
 METHODS = ('raw2d', 'ema2d', 'majority', 'trust', 'context_history', 'persem', 'geometry')
 
 
 class Panels:
     """
-    The frames in which the shown methods differ at most pixels.
+    Of each part of a flight the frame in which the shown methods differ at most pixels.
 
     Parameters
     ----------
@@ -43,33 +42,27 @@ class Panels:
         classes = kinds.classes[:, columns] if columns else kinds.classes[:, :0]
         self._differ = (classes != classes[:, :1]).any(1) if columns \
             else np.zeros(len(kinds.codes), bool)
-        # A heap of (score, number of the frame, its panels).
-        self._kept: list[tuple[int, int, dict[str, NDArray[Any]]]] = []
+        # By part: score, number of the frame, its panels.
+        self._kept: dict[int, tuple[int, int, dict[str, NDArray[Any]]]] = {}
         self._number = 0
 
     def offer(self, frame: Frame, labels: NDArray[np.int32], truth: NDArray[np.int32] | None,
               voxels: NDArray[np.int32], images: list[NDArray[Any]]) -> None:
-        """Keep a frame if its methods differ more than those of the frames that are kept."""
+        """Keep a frame if its methods differ more than in the frame kept of its part."""
         kinds = np.where(voxels >= 0, self._kinds.of[voxels], 0)
         score = int(np.count_nonzero(self._differ[kinds]))
         number, self._number = self._number, self._number + 1
-        apart = max(1, int(APART * self._sequence.frames))
-        near = [k for k in self._kept if abs(k[1] - number) < apart]
-        if near and min(near)[0] >= score or not near and len(self._kept) == FRAMES and \
-                self._kept[0][0] >= score:
+        part, place = divmod(FRAMES * (number + 0.5) / self._sequence.frames, 1)
+        if self._sequence.frames >= 4 * FRAMES and not EDGE <= place <= 1 - EDGE:
             return
-        for old in near:
-            self._kept.remove(old)
-        heapq.heapify(self._kept)
-        heapq.heappush(self._kept, (score, number, self._panels(frame, labels, truth, voxels,
-                                                                images)))
-        while len(self._kept) > FRAMES:
-            heapq.heappop(self._kept)
+        if part not in self._kept or self._kept[int(part)][0] < score:
+            self._kept[int(part)] = (score, number,
+                                     self._panels(frame, labels, truth, voxels, images))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return the panels as {'panel/<frame>/<what>': image}, in order of the frames."""
-        return {f'panel/{number}/{what}': image for _, number, panels in sorted(
-            self._kept, key=lambda item: item[1]) for what, image in panels.items()}
+        return {f'panel/{number}/{what}': image for _, number, panels in (
+            self._kept[part] for part in sorted(self._kept)) for what, image in panels.items()}
 
     def _panels(
             self, frame: Frame, labels: NDArray[np.int32], truth: NDArray[np.int32] | None,

@@ -172,6 +172,8 @@ class Sequence:
         """Return what evaluate_sequence() returns."""
         memory, ids = self.pipeline.memory, self.classes.ids
         matrix = self.blocks.pop('matrix')
+        method = self.task.config.refine.method     # of the map that is shown
+        method = method if method in self.methods else 'majority'
         known = self.taxonomy.legend.ids        # those that it ignores are no surprise
         outside = [c for c in np.flatnonzero(self.classes.outside) if c not in known]
         seconds = self.watch.seconds
@@ -187,7 +189,7 @@ class Sequence:
                          'color': list(self.taxonomy.legend.color(i))}
                         for i in ids[1:]],
             'legend': self.names.beside(self.taxonomy.legend).to_yaml(),
-            'names': self.names.said,
+            'names': self.names.said, 'map_method': method,
             'notes': [*self.recording.notes, *self.fit.sentences(memory)],
             'runtime': {
                 'history_s': seconds['history'],
@@ -201,7 +203,7 @@ class Sequence:
                                            'ids': np.array(ids, np.int32)}
         if self.panels is not None:
             arrays.update(self.panels.arrays())
-            arrays.update(top_view(memory, self.labels_of(self.task.config.refine.method),
+            arrays.update(top_view(memory, self.labels_of(method),
                                    self.sources, self.entropy, self.switch_rate))
         return Result(result, arrays)
 
