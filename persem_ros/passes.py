@@ -246,7 +246,10 @@ class Replay:
         """Write metrics.json and timing.json; tell the watchers; log what a user should know."""
         memory = self.pipeline.memory
         give_back()
-        result = {'frames': {'used': self.frames, 'dropped': dict(self.recording.dropped)},
+        frames: dict[str, Any] = {'used': self.frames, 'dropped': dict(self.recording.dropped)}
+        if self.config.memory.stride == 0:
+            frames['strides'] = dict(sorted(self.pipeline.strides.items()))
+        result = {'frames': frames,
                   'voxels': self.mapped.n_voxels, 'observations': memory.n_observations,
                   **self.metrics.result()}
         write_json(self.folder / 'metrics.json', result)

@@ -8,6 +8,7 @@ the same map from the same frames.
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,7 +18,7 @@ from persem_ros.core.frame.clear import clear
 from persem_ros.core.frame.observe import gather
 from persem_ros.core.frame.place import place
 from persem_ros.core.frame.render import filled, render_map, voxel_image, voxel_image_of
-from persem_ros.core.frame.stride import thinned
+from persem_ros.core.frame.stride import stride_of, thinned
 from persem_ros.core.memory.voxel_memory import VoxelMemory
 from persem_ros.core.refine.job import finish
 from persem_ros.core.refine.turns import begin_next
@@ -40,16 +41,24 @@ class Pipeline:
     memory : VoxelMemory, optional
         A map to go on with; its voxel size, origin and history bound hold.
 
+    Attributes
+    ----------
+    strides : Counter
+        How many frames were observed by which stride.
+
     """
 
     def __init__(self, config: Config, memory: VoxelMemory | None = None) -> None:
         self.config = config
         self.memory = memory or VoxelMemory(
             config.memory.voxel_size, config.map.origin, config.memory.max_history)
+        self.strides: Counter[int] = Counter()
 
     def observe(self, frame: Frame) -> Observations:
         """Return what a frame says about each voxel it sees."""
-        return self.sighted(thinned(frame, self.config.memory))
+        stride = stride_of(frame, self.config.memory)
+        self.strides[stride] += 1
+        return self.sighted(thinned(frame, self.config.memory, stride))
 
     def add(self, frame: Frame) -> Observations:
         """Integrate a frame, clear what it looks through; return its observations."""

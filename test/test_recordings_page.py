@@ -98,6 +98,8 @@ ROWS = {
         'inputs/test_naming.py', 'test_ids_that_move_and_names_without'),
     'such names, and `labels.legend` calls': (
         'inputs/test_naming.py', 'test_names_that_differ_alone'),
+    'the same, and `persem evaluate`': (
+        'evaluate/test_evaluate.py', 'test_ids_follow_the_names_of_the_taxonomy'),
     'names that cannot': (SENSORS, 'test_a_table_that_cannot_be_read'),
     'poses that were corrected': (
         'replay/test_trajectory.py', 'test_corrected_is_as_if_recorded_right'),

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
+from statistics import median_low
 from typing import Any
 
 
@@ -14,7 +16,8 @@ def lines(frames: Mapping[str, Any], rest: str,
     Parameters
     ----------
     frames
-        'used', a number, and 'dropped', numbers by reason.
+        'used', a number, and 'dropped', numbers by reason; where memory.stride is 0 'strides',
+        numbers by the stride that was taken.
     rest
         What else the first line says.
     reasons
@@ -24,6 +27,10 @@ def lines(frames: Mapping[str, Any], rest: str,
     from persem_ros.inputs.sync.pairing import UNUSED
     dropped = {reason: n for reason, n in frames['dropped'].items() if reason != UNUSED}
     found = [f'{frames["used"]} frames used, {sum(dropped.values())} dropped; {rest}']
+    if strides := frames.get('strides'):
+        taken = list(Counter(strides).elements())
+        found.append(f'  memory.stride 0 came to {median_low(taken)} (median; {min(taken)} to '
+                     f'{max(taken)})')
     if unused := frames['dropped'].get(UNUSED):
         found.append(f'  {unused} depth images came without labels, which is no loss')
     for reason, n in sorted(dropped.items()):

@@ -232,6 +232,16 @@ def test_labels_of_another_size_than_the_depth(tmp_path, factor):
     assert close(result['methods'], expected.metrics()['methods'])
 
 
+def test_the_strides_that_auto_took_are_said(recording, tmp_path, capsys):
+    assert main(['replay', str(recording), '--out', str(tmp_path / 'out'),
+                 '--set', 'memory.stride=0', '--set', 'memory.voxel_size=50']) == 0
+    frames = json.loads((tmp_path / 'out/metrics.json').read_text())['frames']
+    strides = sorted(int(s) for s, n in frames['strides'].items() for _ in range(n))
+    assert len(strides) == frames['used'] and strides[0] > 1
+    assert (f'memory.stride 0 came to {strides[(len(strides) - 1) // 2]} (median; {strides[0]} to '
+            f'{strides[-1]})') in capsys.readouterr().out
+
+
 def test_several_cameras_share_one_map(tmp_path):
     rng = np.random.default_rng(4)
 

@@ -42,9 +42,14 @@ def stride_of(frame: Frame, settings: Memory) -> int:
     return _stride(across, middle) if middle else 1
 
 
-def thinned(frame: Frame, settings: Memory) -> Frame:
-    """Return what is integrated of a frame: every n-th pixel of every n-th row of its depth."""
-    n = stride_of(frame, settings)
+def thinned(frame: Frame, settings: Memory, n: int = 0) -> Frame:
+    """
+    Return what is integrated of a frame: every n-th pixel of every n-th row of its depth.
+
+    n is stride_of() of it, where that is known already.
+
+    """
+    n = n or stride_of(frame, settings)
     if n == 1:
         return frame
     every, shape = np.s_[::n, ::n], frame.depth.shape
