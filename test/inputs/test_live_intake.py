@@ -316,3 +316,14 @@ def test_a_camera_may_need_more_than_depth_live_too():
     live = Live()
     station = live.intake.add_camera('other', live.buffer, ('color',), ('depth', 'confidence'))
     assert station in live.intake.stations
+
+
+def test_depth_that_died_out_is_lost_and_no_offset_is_proposed():
+    seen, second = Partners(KEEP), 10 ** 9
+    seen.depth(0, 0, 0.02)
+    for i in range(100):
+        seen.labels(i * second // 10, i * second // 10)
+    depth, labels = seen.lost()
+    assert depth == 1 and labels == 50
+    said = seen.explain(9 * second, 9 * second, Config().sync)
+    assert said == 'no depth image has come for 9 s'

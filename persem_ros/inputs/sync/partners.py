@@ -10,7 +10,7 @@ REMEMBERED = 2048       # stamps of a topic
 FEW = 0.9               # depth images per label image: fewer means that some were lost …
 MARGIN = 2              # … beyond those at the ends of the stretch that is compared
 HOLE = 0.6              # of the depth's period: the nearest image is never farther, unless lost
-PATIENCE = 5_000_000_000        # ns that the very first depth image is waited for
+PATIENCE = 5_000_000_000        # ns that depth is waited for before it is called lost
 
 
 class Partners:
@@ -58,16 +58,16 @@ class Partners:
         """
         Return (depth images, label images) of the same stretch where depth is too few.
 
-        The stretch ends with the newest depth image: what is newer may still come.
+        The stretch ends with the newest depth image, or PATIENCE before the newest labels where
+        that is later: what is newer may still come.
 
         """
         if not self._labels:
             return None
-        if self._depth:
-            newest = max(self._depth)[0]
-            stamps = [stamp for stamp, _ in self._labels if stamp <= newest]
-        else:
-            stamps = [stamp for stamp, at in self._labels if self._labels[-1][1] - at >= PATIENCE]
+        newest = max(self._depth)[0] if self._depth else None
+        now = self._labels[-1][1]
+        stamps = [stamp for stamp, at in self._labels
+                  if newest is not None and stamp <= newest or now - at >= PATIENCE]
         if not stamps:
             return None
         first, last = min(stamps), max(stamps)
@@ -97,6 +97,8 @@ class Partners:
         if newer and behind > sync.max_wait:
             return (f'its depth image has not come yet, depth seems to come {behind:.1f} s later '
                     f'than its label image; {_longer(behind, sync)}')
+        if newer and -distance * 1e9 > PATIENCE:
+            return f'no depth image has come for {-distance:.0f} s'
         period = _median_gap([s for s, _ in by_stamp])
         if period and abs(near[0] - stamp) > HOLE * period:
             return (f'its depth image {"has not come" if newer else "never came"}: the nearest is '
