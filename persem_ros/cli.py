@@ -188,7 +188,8 @@ def _parsed(argv: list[str]) -> argparse.Namespace:
 
 def _meant(strange: list[str], argv: list[str], args: argparse.Namespace) -> str:
     """Return words with the --set or the option that one like --voxel-size 0.05 may have meant."""
-    hints = []
+    hints = [f'--set {name}={value}' for option, name, value in zip(argv, argv[1:], argv[2:])
+             if option == '--set' and '=' not in name and value in strange]
     for option in (word for word in strange if word.startswith('--') and len(word) > 2):
         word, equals, value = option.partition('=')
         tail = word[2:].replace('-', '_')

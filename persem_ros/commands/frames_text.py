@@ -26,7 +26,10 @@ def lines(frames: Mapping[str, Any], rest: str,
     """
     from persem_ros.inputs.sync.pairing import UNUSED
     dropped = {reason: n for reason, n in frames['dropped'].items() if reason != UNUSED}
-    found = [f'{frames["used"]} frames used, {sum(dropped.values())} dropped; {rest}']
+    # Poses and camera infos are no frames; depth images are counted with their labels.
+    lost = sum(n for reason, n in dropped.items()
+               if ': ' not in reason or reason.startswith('labels: '))
+    found = [f'{frames["used"]} frames used, {lost} dropped; {rest}']
     if strides := frames.get('strides'):
         taken = list(Counter(strides).elements())
         found.append(f'  memory.stride 0 came to {median_low(taken)} (median; {min(taken)} to '

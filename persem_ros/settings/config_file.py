@@ -129,9 +129,11 @@ def parse_item(item: str) -> tuple[str, Any]:
     name, equals, text = item.partition('=')
     shown = sentence(item)
     name, text = name.strip(), text.strip()
-    if not equals or not name:
-        raise PersemError(f'--set {shown}: expected name=value, for example memory.voxel_size=0.2')
     known = {n: value for n, value, _ in settings()}
+    if not equals or not name:
+        example = f'{name}={scalar(known[name])}' if name in known else 'memory.voxel_size=0.2'
+        raise PersemError(f'--set {shown}: expected name=value, with = and without spaces, for '
+                          f'example {example}')
     default = known.get(name, '' if name.startswith('cameras.') else None)
     if default is None:
         raise PersemError(f'--set {shown}: unknown setting {short(name)}{nearest(name, known)}; '

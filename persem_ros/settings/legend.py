@@ -51,7 +51,7 @@ class Legend:
         if not isinstance(rows, list) or not rows:
             raise PersemError(f"{source}: expected a mapping with a list 'classes' of "
                               '{id, name, color, group, ignored, dynamic, cost, las, height}')
-        classes = tuple(class_of(row, f'{source}: classes[{i}]') for i, row in enumerate(rows))
+        classes = tuple(class_of(row, f'{source}: {_entry(row, i)}') for i, row in enumerate(rows))
         seen: dict[int, str] = {}
         for item in classes:
             if item.id in seen:
@@ -123,3 +123,10 @@ class Legend:
     def _palette(self) -> Palette:
         return Palette({item.id: item.color for item in self.classes}, self.unlabelled,
                        self.title)
+
+
+def _entry(row: object, i: int) -> str:
+    """Return what a row of a legend's file is called in refusals: its place, its name or id."""
+    called = [short(row[key]) for key in ('name', 'id') if row.get(key) is not None] \
+        if isinstance(row, dict) else []
+    return f'classes[{i}]' + (f' ({called[0]})' if called else '')

@@ -66,6 +66,8 @@ def test_usage_is_2(arguments, capsys):
     ('replay bag --rectified --out x', '; did you mean --set camera.rectified=VALUE?'),
     ('sweep bag --out x --vary a=1 --max-voxels 5',
      '; did you mean --set memory.max_voxels=5 or --set map.max_voxels=5?'),
+    ('replay bag --out x --set memory.voxel_size 0.2',
+     ' 0.2; did you mean --set memory.voxel_size=0.2?'),
     ('replay bag --out x --no-such 5', 'arguments: --no-such 5'),
     ('map info file --voxel-size 5', 'arguments: --voxel-size 5'),      # it has no --set
     ('replay bag --method geometry --out x',

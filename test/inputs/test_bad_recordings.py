@@ -163,6 +163,25 @@ def test_one_topic_for_two_kinds_of_images_is_refused(tmp_path):
             assert word in text
 
 
+def test_of_two_kinds_on_one_topic_the_one_that_was_typed_is_offered(tmp_path):
+    path = bags.write(tmp_path / 'bag', extra=lambda out: out.image(
+        'color/image', bags.stamp(1), 'camera', np.zeros((12, 16, 3), 'u1'), 'rgb8'))
+    assert 'the same topic, /color/image (--set topics.labels=/semantic/image); "persem' in \
+        refused(path, {'topics.labels': '/color/image'})
+
+
+def test_what_a_replay_left_is_no_input(tmp_path):
+    path = tmp_path / 'refined'
+    with RecordingWriter(path) as out:
+        out.cloud('/mapper/map', bags.stamp(1), 'map', np.zeros(3, [
+            ('x', 'f4'), ('y', 'f4'), ('z', 'f4'), ('label', 'u2')]))
+    told = refused(path, {})
+    assert 'mapper/map' not in told and f'recorded later: {path}+OTHER' in told
+    (tmp_path / 'map.persem').write_bytes(b'SQLite format 3\0' + bytes(100))
+    with pytest.raises(PersemError, match="is a map, no recording: 'persem map info .*map.pers"):
+        Recording(tmp_path / 'map.persem', Config())
+
+
 def test_a_topic_that_is_used_is_not_offered_for_something_else(tmp_path):
     # 16UC1 may be both: depth in millimetres, and ids
     with RecordingWriter(tmp_path / 'bag') as out:

@@ -5,6 +5,7 @@ import json
 
 import bags
 from persem_ros.cli import main
+from persem_ros.commands import frames_text
 from persem_ros.outputs.map import store
 from persem_ros.outputs.recording.writer import RecordingWriter
 import pytest
@@ -81,6 +82,13 @@ def test_an_excerpt_is_said_and_the_report_repeats_it(tmp_path, recordings, caps
     assert 'from 1700000000.200000000 s (--start 0.2, seconds after the first frame)' in said
     page = (tmp_path / 'out' / 'report.html').read_text()
     assert '--start 0.2 --end 0.7 --every 2 --out' in page
+
+
+def test_poses_that_are_dropped_are_no_frames():
+    dropped = {'no pose': 2, 'pose: went back': 3046, "labels: encoding 'yuv422'": 1}
+    said = frames_text.lines({'used': 11, 'dropped': dropped}, '5 voxels')
+    assert said[0] == '11 frames used, 3 dropped; 5 voxels'
+    assert '  3046 dropped: pose: went back' in said
 
 
 def test_results_are_not_written_over_what_is_read(tmp_path, recordings, capsys):

@@ -153,7 +153,7 @@ def test_options(item, name, value):
 
 
 @pytest.mark.parametrize(('item', 'words'), [
-    ('memory.voxel_size', ['expected name=value']),
+    ('memory.voxel_size', ['expected name=value, with =', 'memory.voxel_size=0.5']),
     ('=3', ['expected name=value']),
     ('voxel_size=3', ["did you mean 'memory.voxel_size'"]),
     ('memory.voxel_size=5cm', ['--set memory.voxel_size: expected a number (m), for example 0.5, '

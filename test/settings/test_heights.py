@@ -54,5 +54,6 @@ def test_a_legend_gives_metres_and_the_setting_goes_before():
 @pytest.mark.parametrize('height', ['1', '[1]', '[2, 1]', '[a, b]', '[.nan, 1]', '[true, 2]',
                                     f'[0, 1{"0" * 400}]'])
 def test_a_height_that_is_none_is_refused(height):
-    with pytest.raises(PersemError, match=r'classes\[0\]: height: expected \[lowest, highest\]'):
+    words = r"classes\[0\] \('road'\): height: expected \[lowest, highest\]"
+    with pytest.raises(PersemError, match=words):
         Legend.from_yaml(f'classes:\n- {{id: 3, name: road, height: {height}}}')

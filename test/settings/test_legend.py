@@ -137,6 +137,8 @@ def test_names_survive_yaml():
     ('- 1', "a list 'classes'"),
     ('classes: []', "a list 'classes'"),
     ('classes: [7]', 'classes[0]: expected {id'),
+    ('classes: [{id: 7, name: road, cost: 900}]', "classes[0] ('road'): cost: expected"),
+    ('classes: [{id: 7, nam: road}]', 'classes[0] (7): unknown key'),
     ('classes:\n- {id: 1, name: a}\n- {id: 1, name: b}', "id 1 is given twice, to 'a' and 'b'"),
     ('classes:\n- {name: a}', 'id: expected an integer'),
     ('classes:\n- {id: 70000, name: a}', 'id: expected an integer'),

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 # Colour images are offered as labels where their topic's name says so and none holds ids.
 NAMED = re.compile('label|segment|semantic|class|mask|annot', re.IGNORECASE)
+OWN_MAP = '/mapper/map'     # what a node or a replay has published is no input
 SHOWN = 6           # candidates in one refusal
 
 
@@ -58,7 +59,8 @@ class Candidates:
 
     def of(self, kind: str, taken: Sequence[TopicInfo] = ()) -> list[TopicInfo]:
         """Return the topics that could serve as *kind*, the likely ones first; none of *taken*."""
-        fitting = [t for t in self.topics if t.msgtype in self.types(kind) and t not in taken]
+        fitting = [t for t in self.topics if t.msgtype in self.types(kind) and t not in taken
+                   and not t.name.endswith(OWN_MAP)]
         if kind not in ('labels', 'depth', 'truth'):
             return fitting
         known = image_messages.DEPTH if kind == 'depth' else image_messages.LABELS
@@ -82,7 +84,8 @@ class Candidates:
 
     def labelled_clouds(self) -> list[tuple[str, str]]:
         """Return (topic, field with ids) of clouds whose points have labels."""
-        clouds_there = {t.name for t in self.topics if t.msgtype == POINTS and t.count}
+        clouds_there = {t.name for t in self.topics if t.msgtype == POINTS and t.count
+                        and not t.name.endswith(OWN_MAP)}
         found = []
         for name, msg in first_messages(self._source, clouds_there).items():
             with suppress(BadMessage):

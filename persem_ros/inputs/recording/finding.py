@@ -190,6 +190,9 @@ def check_file(path: Path) -> None:
         raise PersemError(f'{path} is a ROS 1 recording, expected a rosbag2 one; '
                           f"'rosbags-convert --src {quote(str(path))} --dst "
                           f"{quote(str(path.with_suffix('')))}' makes one")
+    if head.startswith(SQLITE) and path.suffix == '.persem':
+        raise PersemError(f"{path} is a map, no recording: 'persem map info {quote(str(path))}' "
+                          f'shows it; {WANTED}')
     if head.startswith((MCAP, SQLITE)) or head.startswith(ZSTD) and (
             is_stored(path) or path.suffix in PACKED):
         return

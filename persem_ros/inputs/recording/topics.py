@@ -116,7 +116,7 @@ class Choice:
         for kind, problem in missing.items():
             self.problems.append(problem + self._flags(
                 (kind,), prefix, tuple(chosen.values()), self._other_way(config, kind, prefix)))
-        self._refuse_twice(chosen, prefix)
+        self._refuse_twice(chosen, prefix, topics)
         if LABELS_INFO in roles and not missing:
             self._other_camera(topics, chosen)
         return chosen
@@ -176,13 +176,15 @@ class Choice:
                 return info
         return self._find(LABELS_INFO, wanted)
 
-    def _refuse_twice(self, chosen: dict[str, TopicInfo], prefix: str) -> None:
+    def _refuse_twice(self, chosen: dict[str, TopicInfo], prefix: str, topics: Topics) -> None:
         """Note the topics that one camera uses for two kinds of images."""
         kinds = [kind for kind in ('depth', 'labels', 'truth', 'color') if kind in chosen]
         for i, kind in enumerate(kinds):
             for other in kinds[:i]:
                 if chosen[kind] == chosen[other]:
-                    flags = self._flags((other, kind), prefix, tuple(chosen.values()))
+                    typed = [one for one in (other, kind)
+                             if not getattr(topics, one).endswith(getattr(Topics(), one))]
+                    flags = self._flags(typed or (other, kind), prefix, tuple(chosen.values()))
                     self.problems.append(f'{prefix}.{other} and {prefix}.{kind} are the same '
                                          f'topic, {chosen[kind].name}{flags}')
 
@@ -233,7 +235,7 @@ class Choice:
         if flags:
             return f' ({" or ".join(flags)})'
         other = 'other ' if any(map(self._candidates.of, kinds)) else ''
-        beside = f'; recorded later: {self._source.path.name}+OTHER' \
+        beside = f'; recorded later: {quote(str(self._source.path))}+OTHER' \
             if {'camera_info', 'labels'} & set(kinds) else ''
         return f' (no {other}topic of that kind is there{beside})'
 
