@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 from persem_ros.choices import chosen_legend, chosen_methods, pages
-from persem_ros.core.jit import Announcement
+from persem_ros.core.jit import Compiling
 from persem_ros.core.warmup import warm_up
 from persem_ros.inputs.recording import finding
 from persem_ros.inputs.recording.corrected import correct_all
@@ -100,5 +100,5 @@ def replay(path: Path | str | Sequence[Path | str], out: Path | str, config: Con
 def compile_kernels(methods: tuple[str, ...]) -> None:
     """Compile or load the kernels of *methods*, once a process; say so when it takes long."""
     geometry = 'geometry' in methods
-    with Announcement(*['geometry'] if geometry else []):
+    with Compiling(*['geometry'] if geometry else []):
         warm_up(geometry)

@@ -51,7 +51,7 @@ def warm_up(geometry: bool = True) -> None:
     """
     Compile all kernels of the core, or load them from the cache; once a process.
 
-    The first time takes most of a minute, later ones one to three seconds (core.jit.Announcement
+    The first time takes most of a minute, later ones one to three seconds (core.jit.Compiling
     says so to the user). Compiling is Python's work, which threads cannot share; the kernels of
     the method geometry, more than half of all, are therefore compiled by a process beside (71 s
     became 50 on two threads of one core; 30 without geometry). Besides it tells the C library to

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from persem_ros.cluster import connected
 from persem_ros.core.geometry.overruled import summed
-from persem_ros.core.jit import Announcement
+from persem_ros.core.jit import Compiling
 from persem_ros.core.memory.pools import SIDE
 from persem_ros.core.warmup import warm_up
 from persem_ros.errors import PersemError
@@ -82,7 +82,7 @@ def build(paths: Sequence[str | Path], out: Path | str, config: Config, tile: fl
     keep = [part for path in paths for part in split(path)]
     with folders.opened(out, identity, force, keep, workers, scheduler) as folder:
         geometry = config.refine.method == 'geometry'
-        with Announcement(*['geometry'] if geometry else []):
+        with Compiling(*['geometry'] if geometry else []):
             warm_up(geometry)
         result = _build(folder, plan, watch)
         result = {**result, 'of': identity, 'total_s': round(time.perf_counter() - began, 3),

@@ -13,7 +13,7 @@ from typing import Any, TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 from persem_ros.core.frame.render import render_map
-from persem_ros.core.jit import Announcement
+from persem_ros.core.jit import Compiling
 from persem_ros.core.warmup import warm_up
 from persem_ros.errors import PersemError
 from persem_ros.inputs.decode.serialized import Decoder
@@ -157,7 +157,7 @@ class Worker(threading.Thread):
         """Work until stopped; whatever goes wrong is logged and counted."""
         try:
             geometry = self.config.refine.method == 'geometry'
-            with Announcement(*['geometry'] if geometry else []):
+            with Compiling(*['geometry'] if geometry else []):
                 self._guarded(warm_up, geometry)
             self.intake.begin()
             self.ready.set()

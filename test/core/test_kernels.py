@@ -1,9 +1,12 @@
 """Kernels: compiled once, for one kind of arrays, and cached."""
 
+from contextlib import suppress
 import gc
 import subprocess
 import sys
+import weakref
 
+from persem_ros.core import jit
 from persem_ros.core.warmup import TURN, warm_up
 
 # Those that only kernels call.
@@ -115,3 +118,19 @@ def test_no_collection_of_garbage_looks_at_what_kernels_left_in_memory():
     warm_up(False)
     assert gc.get_freeze_count() > 50_000       # more than 100 000 objects: an eighth of a second
     assert sys.getswitchinterval() <= TURN
+
+
+def test_what_interrupted_compiling_leaves_is_not_taken_apart():
+    class Module:
+        pass
+
+    def interrupted():
+        module = Module()
+        found.append(weakref.ref(module))
+        raise KeyboardInterrupt
+
+    found = []
+    with suppress(KeyboardInterrupt), jit.Compiling():
+        interrupted()
+    gc.collect()
+    assert found[0]() is not None
